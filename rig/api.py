@@ -21,7 +21,7 @@ from rig.model.design import Design
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 if TYPE_CHECKING:
     from rig.effects.framework.effect import Effect

@@ -28,7 +28,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from synthetic.image_simulation import simulations_with_and_without_effects_found
 from synthetic.recording_simulation import Simulation

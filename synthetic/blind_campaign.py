@@ -17,7 +17,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.numbers_and_units import parse_whole_number
 from rig.formats.output_files import write_text
-from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from synthetic import blind_arm_cases, blind_cases
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
 from synthetic.diagnosis_score import Case, campaign_figures, campaign_medians, score_case

@@ -17,7 +17,7 @@ from rig.array_and_json_types import Json
 from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel_svg
-from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from synthetic import diagnosis_score
 
 if TYPE_CHECKING:

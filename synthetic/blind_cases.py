@@ -14,13 +14,13 @@ import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.parameters_covariates_and_markers import Drawing, Markers, replace_marker_columns
+from rig.effects.framework.parameters_covariates_and_markers import Drawing, Markers, markers_with_replaced_columns
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design, Sensor
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -29,7 +29,7 @@ from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import Corners
 from synthetic import recording_simulation as simulation
-from synthetic import secret_machine_and_truth_file, unlisted_physics
+from synthetic import secret_machine_and_truth_file, unlisted_effects_and_corner_noise
 from synthetic.image_simulation import Images, is_renderable
 from vision import lens
 from vision.predict import marker_map
@@ -50,7 +50,7 @@ class Printing(Effect):
     def attach(self, markers: Markers) -> Markers:
         tangent = np.zeros((len(markers.id), 6))
         tangent[:, :2] = np.reshape(self.offsets, (-1, 2))
-        return replace_marker_columns(
+        return markers_with_replaced_columns(
             markers,
             T_body_marker=markers.T_body_marker * exp(tangent),
             side=markers.side * (1 + np.asarray(self.scales)),
@@ -244,7 +244,7 @@ def _drawn(
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
     if kind == "foreign":
-        effects = [unlisted_physics.draw_unlisted_effect(design, duration, rng)]
+        effects = [unlisted_effects_and_corner_noise.draw_unlisted_effect(design, duration, rng)]
     slight = [] if image_settings is None else [draw_typical_printing_errors(design, rng)]
     secret = secret_machine_and_truth_file.draw_machine(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate_world(secret, route, rng)
@@ -252,7 +252,11 @@ def _drawn(
         name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)
     }
     disturbance = (
-        unlisted_physics.DISTURBANCES[rng.integers(len(unlisted_physics.DISTURBANCES))] if kind == "noise" else None
+        unlisted_effects_and_corner_noise.DISTURBANCES[
+            rng.integers(len(unlisted_effects_and_corner_noise.DISTURBANCES))
+        ]
+        if kind == "noise"
+        else None
     )
     noise = _log(rng, *NOISE) if image_settings is None else image_settings.noise
     return DrawnCase(

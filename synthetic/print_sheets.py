@@ -20,7 +20,7 @@ from rig.errors import RigError
 from rig.formats.output_files import write_bytes
 from rig.model.calibration_board import Board
 from rig.model.design import Design, Target
-from synthetic.cube_nets_rulers_and_assembly_page import (
+from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     FOOT,
     LEFT,
     MARGIN,

@@ -20,7 +20,7 @@ from rig.model import motion_simulation
 from rig.model.base_and_link_tilts import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms import redundant_struts
 from rig.model.mechanisms.arm import link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant, require_axes
@@ -137,7 +137,11 @@ def conflict_of_driven_struts(simulation: Simulation) -> float | None:
     if not is_redundant(m) or m.followers:
         return None
     lengths = simulation.plan.commands.at(simulation.plan.t) + run.deviation
-    return float(np.sqrt(np.mean(np.square(redundant_struts.conflict(run.T_base_platform, lengths, m)))))
+    return float(
+        np.sqrt(
+            np.mean(np.square(redundant_struts.incompatible_strut_length_component(run.T_base_platform, lengths, m)))
+        )
+    )
 
 
 def _with_limbs(log: Sensors, t: Floats, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator) -> Sensors:

@@ -128,8 +128,8 @@ def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
     ]
 
 
-def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
-    """Matrices {body: (..., 4, 4)} to the base of bodies between struts, from the stages' poses."""
+def base_platform_and_stage_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
+    """Matrices {body: (..., 4, 4)} to the base of base, platform and stages, from the stages' poses."""
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
         "base": np.broadcast_to(np.eye(4), platform.shape),
@@ -140,7 +140,7 @@ def body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
 
 def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
     """Matrices {body: (4, 4)} to the base of all bodies that have meshes, at one pose, struts included."""
-    poses = {"world": np.eye(4), **body_matrices(stage_poses)}
+    poses = {"world": np.eye(4), **base_platform_and_stage_matrices(stage_poses)}
     for stands in stages_standing_on_struts(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
         ends = strut_ends(stands.stage, T_below.inv() * stage_poses[stands.number])

@@ -15,14 +15,14 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Camera
-from rig.model.hands_places_and_tolerances import hand_names, seen_hand
+from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
 from rig.recording.recording_tables import Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
-from rig.report.verdict_and_display import (
+from rig.report.verdict_refutations_and_result_display import (
     AGREES,
     Evidence,
     MissingEvidence,
@@ -44,7 +44,7 @@ from vision.camera_and_command_clocks import Clocks, clocks_of_recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     discard_notice,
-    make_spoilt_corner_refusal,
+    make_corner_mistake_refusal,
     refuse_spoilt_files,
 )
 from vision.predict import marker_map
@@ -283,7 +283,7 @@ def measure(
         options.detect,
         progress,
         options.places,
-        make_spoilt_corner_refusal(recording, options.anyway, notice),
+        make_corner_mistake_refusal(recording, options.anyway, notice),
     )
     held = crossvalidate_adjustment(measured.used(), measured.adjustment)
     determination = determined_combinations(measured.adjustment)

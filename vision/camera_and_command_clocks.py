@@ -260,12 +260,17 @@ class CameraTimeOffsets:
 
 
 def camera_time_offsets(
-    observations: Observations, later: Observations, after: float, residuals: Floats, state: State, moving: Booleans
+    observations: Observations,
+    delayed_observations: Observations,
+    delay: float,
+    residuals: Floats,
+    state: State,
+    moving: Booleans,
 ) -> CameraTimeOffsets | None:
     """CameraTimeOffsets of fixed cameras; None where too few frames move, or one camera alone sees them.
 
-    observations : of solved frames, with the motion to each corner's exposure; later : the same with all exposures so
-    much later (after, s); residuals : (n, 2) px; state : State of these frames; moving : (F,) whether they move
+    observations : of solved frames, with the motion to each corner's exposure; delayed_observations : the same with all
+    exposures later by delay (s); residuals : (n, 2) px; state : State of these frames; moving : (F,) whether they move
     """
     count = len(state.cameras)
     near = np.isfinite(residuals[:, 0]) & (np.nan_to_num(np.abs(residuals)).max(axis=1) < FARTHEST)
@@ -273,7 +278,7 @@ def camera_time_offsets(
     if count < 2 or len(np.unique(observations.frame[rows])) < FEWEST:
         return None
     seen, shown = observations.take(rows), predict_corners(observations.take(rows), state)[0]
-    speed = (predict_corners(later.take(rows), state)[0] - shown) / after  # px/s
+    speed = (predict_corners(delayed_observations.take(rows), state)[0] - shown) / delay  # px/s
     J = np.empty((len(rows), 2, 6))
     for _, at, J_platform, *_ in corner_jacobians(seen, state):
         J[at] = J_platform

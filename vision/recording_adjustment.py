@@ -21,7 +21,7 @@ from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
@@ -313,8 +313,8 @@ def _stage_numbers(markers: MarkerMap) -> list[int]:
     return np.unique(markers.stage[markers.stage > 0]).tolist()
 
 
-def separate_stage_frames(observations: Observations, markers: MarkerMap) -> Observations:
-    """Observations with the corners of each stage in separate frames, after all other frames."""
+def give_each_stage_separate_frames(observations: Observations, markers: MarkerMap) -> Observations:
+    """Observations with each stage's corners moved into frames of their own, numbered after all other frames."""
     o, count = observations, len(observations.frames)
     step = int(o.frames.max()) + 1
     bodies = [0, *_stage_numbers(markers)]

@@ -169,11 +169,13 @@ def _measured(
     def adjusted(observed: Observations) -> Measurement:
         loose = is_on_remounted_cube(observed, design, markers)
         if markers.stage.any():
-            return measure_with_stated_or_free_places(observed.take(~loose), design, markers, free, progress, t, places)
+            return measure_with_stated_or_free_markers(
+                observed.take(~loose), design, markers, free, progress, t, places
+            )
         return measure_without_remounted_cubes(
             observed,
             loose,
-            lambda held: measure_with_stated_or_free_places(held, design, markers, free, progress, t, places),
+            lambda held: measure_with_stated_or_free_markers(held, design, markers, free, progress, t, places),
         )
 
     if recording.corners is not None and not detect_anew:
@@ -214,7 +216,7 @@ def refuse_free_marker_places_on_stages(places: str) -> None:
         )
 
 
-def measure_with_stated_or_free_places(
+def measure_with_stated_or_free_markers(
     observed: Observations,
     design: Design,
     markers: MarkerMap,
@@ -223,7 +225,7 @@ def measure_with_stated_or_free_places(
     t: Floats,
     places: str,
 ) -> Measurement:
-    """Measurement with marker places stated or free.
+    """Measurement with marker poses as stated, or estimated too where requested or where the stated are doubtful.
 
     They are free where requested or where the stated ones are doubtful.
     t : (F,) s
@@ -232,7 +234,7 @@ def measure_with_stated_or_free_places(
         refuse_free_marker_places_on_stages(places)
         return recording_adjustment.separate_stage_measurements(
             measure_observations(
-                recording_adjustment.separate_stage_frames(observed, markers),
+                recording_adjustment.give_each_stage_separate_frames(observed, markers),
                 design,
                 markers,
                 free,

@@ -14,7 +14,7 @@ from calib.models.arm.correction import ArmCorrection
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
@@ -75,7 +75,7 @@ class ArmKinematics:
         arm, correction = self.arm, self.correction
         form, why_none = None, ""
         try:
-            form = closed_form_and_numerical_arm_inverse.six_joint_arm(arm)
+            form = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(arm)
         except RigError as error:
             why_none = str(error)
         out = []

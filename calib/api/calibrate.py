@@ -29,13 +29,13 @@ from calib.correction.correction_tables import (
 from calib.correction.physics_compensation import Physics
 from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
 from calib.diagnosis import findings_refit
-from calib.diagnosis.calibration_left_out_physics import calibration_with_left_out_physics, mark_as_not_searched
 from calib.diagnosis.findings_refit import (
     Findings,
     findings_of_diagnosis,
     findings_with_missing_instrument_effects_added,
     load_findings,
 )
+from calib.diagnosis.physics_left_out_of_calibration import calibration_with_left_out_physics, mark_as_not_searched
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import fit_of_measured_effects
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
@@ -61,7 +61,7 @@ from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import RigError
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
     require_chain,
@@ -71,7 +71,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.camera_and_command_clocks import Clocks
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 

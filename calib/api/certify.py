@@ -37,7 +37,7 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.model.hands_places_and_tolerances import seen_hand
+from rig.model.hands_effect_places_and_tolerances import seen_hand
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
@@ -45,7 +45,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import Evidence, OneLineRepr, Refutation, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import Evidence, OneLineRepr, Refutation, Verdict, result_html
 
 UNSTATED, STANDARD = Issuer(), CertifyOptions()  # nobody is named; 95 % of poses with 95 %
 KINDS, POINTING_KINDS = (".json", ".html", ".pdf", ".xml"), (".json", ".html")
@@ -81,7 +81,7 @@ class CertificationResult(OneLineRepr):
             certificate_sentences.length_scale_line(made),
             certificate_sentences.promise_line(made),
             certificate_sentences.measured_volume_line(made),
-            *certificate_sentences.basis_lines(made),
+            *certificate_sentences.promise_basis_lines(made),
             *certificate_sentences.conformity_lines(made),
         ]
 

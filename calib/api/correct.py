@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.command_timing_and_pose_error_map import HOLDING
 from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
+from calib.correction.timed_command_sequence_and_pose_error_map import HOLDING
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import tool_parameters
 from calib.models.machine_models import corrected_pose_covariance
@@ -30,12 +30,12 @@ from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import POSE_COLUMNS, POSE_UNITS, Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 APPROACHES = ("auto", "always", "never")
 

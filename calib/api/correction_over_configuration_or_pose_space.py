@@ -37,7 +37,6 @@ from calib.certification.platform_certification import (
     platform_workspace_claim,
     silent_progress,
 )
-from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap, pose_coordinates
 from calib.correction.correction import AnyCorrection
 from calib.correction.interpolation.field_interface_and_combinations import (
     Field,
@@ -56,6 +55,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     residual_pose_tangents_of_pass,
     single_step_command_errors,
 )
+from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap, pose_coordinates
 from calib.files.mechanism_and_physics_entries import mechanism_dict
 from calib.models.arm import joint_space_correction_and_claim as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
@@ -69,7 +69,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     has_links,

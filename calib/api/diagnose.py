@@ -13,12 +13,12 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
-from calib.diagnosis.calibration_left_out_physics import (
+from calib.diagnosis.engine.candidates_thresholds_and_outliers import StatedTerms
+from calib.diagnosis.physics_left_out_of_calibration import (
     Refutation,
     refuted_calibrations,
     unexplained_findings_and_refutations,
 )
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import StatedTerms
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
@@ -34,11 +34,11 @@ from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import OneLineRepr, State, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, State, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()

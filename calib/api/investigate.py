@@ -34,13 +34,13 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_visiting_order import write_plan_table
 from rig.recording.recording_tables import Poses, write_poses
-from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
 VERIFYING = 1000  # added to the seed for the new poses

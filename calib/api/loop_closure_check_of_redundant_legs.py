@@ -25,7 +25,7 @@ from rig.model.mechanisms.redundant_struts import (
 )
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
 STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure is not what is expected

@@ -17,9 +17,9 @@ from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import RunOptions as RunOptions
 from calib.online.run_options_cameras_sensors_and_observer import (
     compile_kernels_for_run,
+    make_run_observer,
     open_cameras,
     open_sensors_and_assemble_equipment,
-    run_observer,
     set_exposures,
 )
 from rig.array_and_json_types import Floats
@@ -38,11 +38,11 @@ from rig.driving.run_steps_and_progress import (
     lost_position_reason,
     progress_from_journal,
     step_distances,
-    steps_in_motion,
+    steps_exposed_during_motion,
     steps_of_plan,
 )
 from rig.driving.strut_driver import Driver
-from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
@@ -153,7 +153,7 @@ class PlannedRun:
             if exposures and (before is None or exposures != before.exposures):
                 journal.append(CameraExposures(clock.now() - origin, tuple(exposures), tuple(exposures.values())))
             stopping = RunStop(options.stop_on, driver.stop)
-            observer = run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
+            observer = make_run_observer(self.design, self.steps, status.lengths, clock, stopping, options, out)
             observer.displays += stack.enter_context(displays(observer))
             operator = RunOperator(bench, self.steps, journal, self.design.mechanism.axes, origin, observer)
             observer.note = operator.remark
@@ -218,13 +218,13 @@ class PlannedRun:
 
 
 def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDARD) -> PlannedRun:
-    """PlannedRun of a design, as `rig run` begins one.
+    """PlannedRun of a design, checked and ready to start, as `rig run` begins one; nothing moves yet.
 
     path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
     Raises RigError for a plan of a cube put back turned, for options that do not suit the design, and for a rig.toml
     that names programs and is part of a recording
     """
-    require_own_rig_toml(path, design)
+    refuse_programs_of_untrusted_rig_toml(path, design)
     found = build_plan(design, plan, options.seed)
     steps = steps_of_plan(found)
     todo = turning_instructions(dict(found.turned), quarter_turns_of_cubes(design))
@@ -236,7 +236,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     options.accepted_limbs(design)
     options.refuse_unsuited(design)
     if options.in_motion is not None:
-        steps = steps_in_motion(steps, options.in_motion, design.driver().max_speed)
+        steps = steps_exposed_during_motion(steps, options.in_motion, design.driver().max_speed)
     return PlannedRun(design, path, plan, steps, settling, options)
 
 

@@ -33,7 +33,7 @@ from rig.recording.recording_folder import Recording, copy_frames_commands_and_s
 from rig.recording.recording_tables import Poses, write_poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 

@@ -28,7 +28,7 @@ from rig.model.design_comparison_and_cube_turning_instructions import parse_cube
 from rig.planning import timed_plan_and_visiting_order
 from rig.planning.plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts rest
 CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `discriminating_configurations`
@@ -184,7 +184,7 @@ def _plan_information(question: Question[object], plan: Plan) -> Information:
     """Information of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first
     recording's and others.
     """
-    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "data_log_odds"))
+    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "deviance"))
     found = [
         experiment_information(odds, question.predict_outcomes(plan, warmer), behind)
         for warmer in (DAYS if question.follows_temperature else (0.0,))

@@ -11,7 +11,7 @@ from pathlib import Path
 from calib.api.recording_check_combination_and_view import refuse_unfit_recording
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
-from calib.diagnosis.calibration_left_out_physics import unexplained_findings_and_refutations
+from calib.diagnosis.physics_left_out_of_calibration import unexplained_findings_and_refutations
 from calib.online.forgetting_kalman_and_gradient_learners import save_learner
 from calib.online.information_filter import Online
 from calib.online.learning_from_recording import (
@@ -32,7 +32,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import OneLineRepr, Refutation, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refutation, Verdict, result_html
 from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
@@ -160,7 +160,7 @@ def learn_from_samples(
     progress: Progress = lambda *_: None,
     notice: Notice = discard_notice,
 ) -> LearningResult:
-    """Learn from samples measured otherwise, by the filter (LearningResult).
+    """Learn parameters by the filter from samples already measured, as by limbs (LearningResult).
 
     state : as of LearnOptions; sampled : of recording
     """

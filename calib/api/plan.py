@@ -28,7 +28,7 @@ from calib.diagnosis.effect_signal_to_noise_and_separation import Separation, ef
 from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
 from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
 from calib.models.arm.pointing_terms import term_jacobian
-from calib.models.arm.tilt_observations import planned_tilt_columns
+from calib.models.arm.tilt_observations import planned_tilt_jacobian
 from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
@@ -51,7 +51,7 @@ from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
 from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
@@ -278,7 +278,7 @@ def _parameters_seen_by_tilt_sensors(design: Design, arm: Arm) -> IndependentPar
 
     def jacobian(q: Floats) -> Floats:
         whole = parameter_jacobian(q, arm)
-        tilted = planned_tilt_columns(sensors, design.gravity, q, arm, whole)
+        tilted = planned_tilt_jacobian(sensors, design.gravity, q, arm, whole)
         tilted = np.concatenate([tilted[..., : whole.shape[2]][..., retained], tilted[..., whole.shape[2] :]], axis=2)
         posed = np.pad(whole[..., retained], ((0, 0), (0, 0), (0, len(more))))
         return np.concatenate([posed, tilted], axis=1)

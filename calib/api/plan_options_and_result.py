@@ -21,7 +21,14 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import write_configurations, write_table
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import Evidence, MissingEvidence, OneLineRepr, Verdict, judge_evidence, result_html
+from rig.report.verdict_refutations_and_result_display import (
+    Evidence,
+    MissingEvidence,
+    OneLineRepr,
+    Verdict,
+    judge_evidence,
+    result_html,
+)
 
 SEED = 0
 SHOWN = 8  # combinations that are listed

@@ -25,7 +25,10 @@ from calib.models.geometry_and_placement_fit_of_several_recordings import remove
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from calib.report.recording_and_plan_pages import write_recording_page
-from calib.samples.platform_poses_with_alignment_and_tilts import free_ends, recording_in_machine_frames
+from calib.samples.platform_poses_with_alignment_and_tilts import (
+    are_base_and_tool_frames_unknown,
+    recording_in_machine_frames,
+)
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
@@ -34,7 +37,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistak
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,
@@ -52,7 +55,7 @@ from rig.report.pages.page_templates_and_index_page import Link
 from vision.checks import find_corner_mistakes
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
-    make_spoilt_corner_refusal,
+    make_corner_mistake_refusal,
     recorded_or_sampled_corners,
     refuse_mistakes,
     refuse_spoilt_files,
@@ -220,7 +223,10 @@ def check_and_combine_recordings(
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if len(every) == 1:
         recording, look = every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice)
-        if free_ends(recording.design.instrument, recording.design.mechanism)[0] and recording.poses is not None:
+        if (
+            are_base_and_tool_frames_unknown(recording.design.instrument, recording.design.mechanism)[0]
+            and recording.poses is not None
+        ):
             alone = replace(recording, parts=(RecordingPart(recording, 0, 0.0),))
             recording, _ = remove_instrument_displacement(recording_in_machine_frames(alone), True)
         return PreparedRecording(recording, look, False)
@@ -235,7 +241,7 @@ def check_and_combine_recordings(
         notice(line)
     recording = found.recording
     if is_measured_by_instrument(recording):
-        is_anywhere = free_ends(recording.design.instrument, recording.design.mechanism)[0]
+        is_anywhere = are_base_and_tool_frames_unknown(recording.design.instrument, recording.design.mechanism)[0]
         recording = recording_in_machine_frames(recording)
         measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
         several = bool(hand_names(recording.design.mechanism))
@@ -269,7 +275,7 @@ def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -
     refuse_spoilt_files(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         refuse_mistakes(pose_mistakes(recording), anyway, notice)
-    return make_spoilt_corner_refusal(recording, anyway, notice)
+    return make_corner_mistake_refusal(recording, anyway, notice)
 
 
 def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
@@ -283,7 +289,7 @@ def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
         return find_mistakes_of_several_hands(recording)
     if mechanism.link_rows is not None:
         return find_arm_mistakes(recording)
-    if mechanism.plates is None or any(free_ends(recording.design.instrument, mechanism)):
+    if mechanism.plates is None or any(are_base_and_tool_frames_unknown(recording.design.instrument, mechanism)):
         return ()
     return sort_mistakes(
         command_and_pose_disagreements.command_pose_mistakes(

@@ -54,7 +54,7 @@ from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import OneLineRepr, Refutation, State, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refutation, State, Verdict, result_html
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -25,11 +25,11 @@ from calib.models.arm.certification import CertifiedArm
 from calib.samples.confounded_conditions_and_clocks import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import WORST, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import WORST, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")

@@ -30,7 +30,7 @@ from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.verdict_and_display import OneLineRepr, Verdict, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
 
 

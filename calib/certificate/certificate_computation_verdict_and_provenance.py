@@ -52,7 +52,14 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_display import Evidence, MissingEvidence, OneLineRepr, Verdict, judge_evidence, result_html
+from rig.report.verdict_refutations_and_result_display import (
+    Evidence,
+    MissingEvidence,
+    OneLineRepr,
+    Verdict,
+    judge_evidence,
+    result_html,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -69,7 +76,7 @@ class Certificate(OneLineRepr, Contents):
             [
                 certificate_sentences.length_scale_line(self),
                 certificate_sentences.measured_volume_line(self),
-                *certificate_sentences.basis_lines(self),
+                *certificate_sentences.promise_basis_lines(self),
                 *certificate_sentences.conformity_lines(self),
             ],
         )

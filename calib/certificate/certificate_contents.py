@@ -19,7 +19,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
-from rig.report.verdict_and_display import Evidence
+from rig.report.verdict_refutations_and_result_display import Evidence
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ def certificate_dict(certificate: Certificate) -> Json:
             certificate_sentences.length_scale_line(certificate),
             certificate_sentences.promise_line(certificate),
             certificate_sentences.measured_volume_line(certificate),
-            *certificate_sentences.basis_lines(certificate),
+            *certificate_sentences.promise_basis_lines(certificate),
         ],
         "machine": certificate.machine,
         "promise": _promise_tree(certificate.promise),
@@ -232,7 +232,7 @@ def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     paper.line(f"certificate {c.provenance['id']}", 7)
     paper.line(certificate_sentences.length_scale_line(c))
     paper.line(certificate_sentences.promise_line(c), 11, bold=True)
-    for line in (certificate_sentences.measured_volume_line(c), *certificate_sentences.basis_lines(c)):
+    for line in (certificate_sentences.measured_volume_line(c), *certificate_sentences.promise_basis_lines(c)):
         paper.line(line)
     for line in certificate_sentences.conformity_lines(c):
         paper.line(line, bold=True)

@@ -81,7 +81,7 @@ def _cell_bound_figures(certificate: Certificate) -> str:
         low, high = np.array(certificate.volume.low)[[a, b]], np.array(certificate.volume.high)[[a, b]]
         scale = min(388 / (high[0] - low[0]), 260 / (high[1] - low[1]))
         base = height + 20 + scale * (high[1] - low[1])
-        for (x0, y0, x1, y1), bound in visible_rectangles(boxes[:, :, [a, b]], bounds):
+        for (x0, y0, x1, y1), bound in disjoint_rectangles_of_greatest_value(boxes[:, :, [a, b]], bounds):
             at, up, wide, tall = (
                 left + scale * (x0 - low[0]),
                 base - scale * (y1 - low[1]),
@@ -102,8 +102,8 @@ def _cell_bound_figures(certificate: Certificate) -> str:
     return svg_figure(int(height) + 6, "bounds per cell in um, from above and from the side", parts)
 
 
-def visible_rectangles(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
-    """Visible rectangles of boxes seen along an axis: without overlap, each with the greatest value behind it.
+def disjoint_rectangles_of_greatest_value(boxes: Floats, values: Floats) -> list[tuple[tuple[float, ...], float]]:
+    """Disjoint rectangles that cover projected boxes, each with the greatest value of the boxes over it.
 
     boxes : (n, 2, 2), low and high corner; values : (n,)
     Returns [((x low, y low, x high, y high), value)]
@@ -178,7 +178,7 @@ def _promise(c: Certificate) -> list[str]:
         certificate_sentences.length_scale_line(c),
         certificate_sentences.promise_line(c),
         certificate_sentences.measured_volume_line(c),
-        *certificate_sentences.basis_lines(c),
+        *certificate_sentences.promise_basis_lines(c),
     )
     caption = "Share of the held-out poses whose measured position error is no larger; dashed: the promise."
     return [captioned_html(_error_distribution_figure(c), caption), *map(paragraph_html, lines)]

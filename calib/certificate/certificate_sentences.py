@@ -81,8 +81,8 @@ def measured_volume_line(certificate: Contents) -> str:
     return f"The volume: {box}{turned}; {', '.join(axes)}{'' if mixed else f' {PLOT_UNITS[v.units[0]][1]}'}."
 
 
-def basis_lines(certificate: Contents) -> list[str]:
-    """Lines on the basis of a certificate's promise.
+def promise_basis_lines(certificate: Contents) -> list[str]:
+    """Lines on what a certificate's promise rests on: poses, conditions and recordings.
 
     Poses, conditions and recordings.
     """

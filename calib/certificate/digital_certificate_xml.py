@@ -221,7 +221,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
         "description",
         certificate_sentences.promise_line(c),
         certificate_sentences.measured_volume_line(c),
-        *certificate_sentences.basis_lines(c),
+        *certificate_sentences.promise_basis_lines(c),
     )
     methods = _sub(part, "usedMethods")
     for name, norm in (

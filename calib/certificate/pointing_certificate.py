@@ -38,7 +38,7 @@ from rig.model.mechanisms import axis_units
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import heading_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 
 SCHEMA = "pointing-certificate/1"
 ACROSS = slice(3, 5)  # of a pose's error, what turns the direction

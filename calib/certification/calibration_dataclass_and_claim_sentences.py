@@ -22,11 +22,11 @@ from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import number_text
-from rig.model.hands_places_and_tolerances import hand_names, seen_hand
+from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
-from rig.model.mechanisms.redundant_struts import with_followers_of
+from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 
@@ -246,7 +246,7 @@ class Calibration(OneLineRepr):
         """
         if self.physics is None or recording.commands is None:
             return samples
-        fitted = with_followers_of(self.correction.fitted, recording.design.mechanism)
+        fitted = with_follower_struts_of(self.correction.fitted, recording.design.mechanism)
         return self.physics.with_effects(fitted, samples, recording.commands, recording.sensors)
 
     def on_one_clock(self, recording: Recording, sampled: Sampled) -> tuple[Recording, Sampled, tuple[str, ...]]:

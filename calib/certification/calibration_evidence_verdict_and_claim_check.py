@@ -26,7 +26,15 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
-from rig.report.verdict_and_display import LOOK, Evidence, MissingEvidence, Refutation, State, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import (
+    LOOK,
+    Evidence,
+    MissingEvidence,
+    Refutation,
+    State,
+    Verdict,
+    judge_evidence,
+)
 
 MORE = (
     "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "

@@ -24,7 +24,7 @@ from calib.certification.held_out_errors import pose_errors
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.pose import adjoint, exp
-from rig.report.verdict_and_display import REFUTES
+from rig.report.verdict_refutations_and_result_display import REFUTES
 
 LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
 DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST

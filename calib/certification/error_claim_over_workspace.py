@@ -261,7 +261,7 @@ def workspace_samples(correction: AnyCorrection) -> tuple[Floats, RigidTransform
 
 
 def draw_fit_variance_ratio(identified: Identified, nominal: Parallel, count: int, rng: np.random.Generator) -> Floats:
-    """Draws (count,) of the ratio of the poses' variances in a fit to the stated ones."""
+    """Draws (count,) of the ratio of true to stated pose variances, by a fit's cost and degrees of freedom."""
     return draw_variance_ratio(identified.cost, len(nominal.axes) * int(identified.inliers.sum()), count, rng)
 
 

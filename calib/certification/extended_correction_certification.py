@@ -1,4 +1,4 @@
-"""Certification of extended corrections.
+"""Certification of corrections extended over the configuration space, by held-out configurations.
 
 Corrections extended over the configuration space, judged on held-out configurations.
 """
@@ -63,7 +63,7 @@ from calib.models.platform.identification import (
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.samples.pose_samples import Samples, inverse_covariance
+from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
@@ -185,7 +185,7 @@ def certify_interpolation_method(
     progress: Progress,
     refusal_reason: str | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """Certified interpolation method for an extension.
+    """Certified extension by one interpolation method, or the best of all by held-out errors; and those tried.
 
     The one of this kind, or the best of all by held-out errors; also the methods tried.
     basis : nominal, label (n,) of the samples, the geometry; refusal_reason : why none is to be taken of all ways, or
@@ -335,7 +335,7 @@ def mean_stated_position_variance(field: Field, samples: Samples, nominal: Paral
 def _best(outcome: _Outcome) -> str:
     """The way that leaves least, if that is a significant gain against doing without."""
     covariance = outcome.samples.total_covariance()
-    weight = inverse_covariance(
+    weight = pose_covariance_pseudoinverse(
         np.where(np.isinf(covariance), 1.0, covariance)
     )  # what was not measured has no error to weigh
     loss = {

@@ -157,7 +157,7 @@ def is_significant_gain(gain: Floats) -> bool:
 
 
 def autocorrelation_factor(series: Floats) -> float:
-    """Autocorrelation factor of a series (n,).
+    """Factor by which a series' (n,) autocorrelation raises its mean's variance.
 
     It is 1 + 2 x the sum of its first positive autocorrelations.
     """
@@ -302,18 +302,18 @@ def residuals_corrected_for_absorbed_noise(
 
 
 def mean_square_pose_errors_caused_by_parameters(
-    jacobian: Floats, covariance: Floats, noise: Floats, part: Integers
+    jacobian: Floats, covariance: Floats, noise: Floats, held_out_group: Integers
 ) -> Floats:
     """Mean squares (2,) of held-out pose errors caused by the fitted parameters, m^2 and rad^2.
 
-    The parameters are fitted without the samples of the same part.
+    The parameters are fitted without the samples of the same held-out group.
     jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters of a fit of all samples;
         noise : (n, 6, 6) by which that
-    fit weighed them; part : (n,) which are held out together
+    fit weighed them; held_out_group : (n,) which are held out together
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2, by blocks
     """
     out = np.empty(jacobian.shape[:2])
-    for own, L, U, share in _leverages(jacobian, covariance, noise, part):
+    for own, L, U, share in _leverages(jacobian, covariance, noise, held_out_group):
         out[own] = ((L @ (U * np.sqrt(share / (1 - share))).reshape(len(L), 6, -1)) ** 2).sum(axis=2)
     return np.asarray(out.mean(axis=0).reshape(2, 3).sum(axis=1))
 

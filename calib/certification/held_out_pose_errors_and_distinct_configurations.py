@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
 from calib.identify.least_squares_and_robust_fit import time_block_folds
-from calib.samples.pose_samples import Samples, inverse_covariance
+from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
@@ -76,12 +76,12 @@ def mean_sample_per_configuration(samples: Samples, label: Integers, to_pose: Fl
     moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, effective[label] - samples.effective))
     apart = pose_difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
     unseen = np.isinf(samples.covariance)  # rotations that nothing measured
-    weight = inverse_covariance(np.where(unseen, 1.0, samples.covariance))
+    weight = pose_covariance_pseudoinverse(np.where(unseen, 1.0, samples.covariance))
     total, mean, common = (np.zeros((count, *part.shape[1:])) for part in (weight, apart, samples.common))
     np.add.at(total, label, weight)
     np.add.at(mean, label, (weight @ apart[..., None])[..., 0])
     np.add.at(common, label, weight @ samples.common)
-    covariance = inverse_covariance(total)
+    covariance = pose_covariance_pseudoinverse(total)
     poses = moved[first] * exp((covariance @ mean[..., None])[..., 0])
     return Samples(
         samples.frame[first],

@@ -48,8 +48,8 @@ def strut_conflict(calibration: Calibration, samples: Samples, recorded: Mechani
     T, count = samples.T_base_platform, len(nominal.axes)
     corrected = samples.effective - calibration.correction.rho(samples.effective)
     return StrutConflict(
-        _size(redundant_struts.conflict(T, samples.commanded, nominal)),
-        _size(redundant_struts.conflict(T, corrected, fitted)),
+        _size(redundant_struts.incompatible_strut_length_component(T, samples.commanded, nominal)),
+        _size(redundant_struts.incompatible_strut_length_component(T, corrected, fitted)),
         _size(calibration.scatter) * float(np.sqrt((count - 6) / count)),
     )
 

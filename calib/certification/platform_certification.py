@@ -45,7 +45,7 @@ from calib.models.platform.identification import (
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.samples.pose_samples import Samples, inverse_covariance
+from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -140,7 +140,7 @@ def certify_platform(
     ]
     done = replace(first, held_out=compare_errors(before, after, covariance, rng, label[good]))
     if more:
-        weight = inverse_covariance(covariance)
+        weight = pose_covariance_pseudoinverse(covariance)
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if is_significant_gain(loss[0] - loss[1]):
             done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))

@@ -189,7 +189,7 @@ def promise_by_cell(
     units: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Cell, ...]:
-    """Promises by cell of the volume.
+    """Pose error promise of each cell of the volume, halved while both halves have poses enough.
 
     Halved along its longest side while both halves have poses enough.
 

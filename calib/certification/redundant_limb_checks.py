@@ -254,9 +254,10 @@ def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[M
 
 
 def first_unclosed_limb(limbs: Limbs, lengths: Floats) -> UnclosedLimb | None:
-    """First UnclosedLimb of poses in a row by lengths read (n, limbs) m.
+    """First limb whose loop closure error is beyond noise at several poses in a row (UnclosedLimb).
 
     None where all close.
+    lengths : (n, limbs) m
     Raises NotConverged for readings that close on no pose
     """
     checks = limbs.checks

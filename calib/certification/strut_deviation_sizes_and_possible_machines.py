@@ -42,12 +42,16 @@ class Closures(NamedTuple):
 
 
 def draw_strut_deviation_component_sizes(
-    struts: list[Closures], scattered: Callable[[Floats], Floats], count: int, rng: np.random.Generator
+    struts: list[Closures],
+    scatter_log_likelihood_gain: Callable[[Floats], Floats],
+    count: int,
+    rng: np.random.Generator,
 ) -> list[Floats]:
     """Draws (count, components) m of the sizes of each strut's deviation components.
 
     A row a machine.
-    scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much
+    scatter_log_likelihood_gain : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts
+    scatter by so much
     """
     n, axes = len(struts[0].values), len(struts)
     some = np.arange(n) if n <= LARGEST else np.sort(rng.choice(n, LARGEST, replace=False))
@@ -73,7 +77,7 @@ def draw_strut_deviation_component_sizes(
     if (
         max(mixed, *(one.max() for one in alike.values())) < np.log(SOUND) + CLEARLY
     ):  # no strut by itself says more than that all is sound
-        together = scattered(SMALL * unit) + np.log(ALIKE * names[first] / total / len(SMALL))
+        together = scatter_log_likelihood_gain(SMALL * unit) + np.log(ALIKE * names[first] / total / len(SMALL))
         odds[first] = np.where(together > alike[first], np.inf, odds[first])
         alike[first] = np.maximum(alike[first], together)
     weight = np.concatenate([[np.log(SOUND), mixed], *alike.values()])

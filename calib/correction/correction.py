@@ -16,11 +16,11 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.command_timing_and_pose_error_map import PoseMap
 from calib.correction.interpolation import gaussian_process
 from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
+from calib.correction.timed_command_sequence_and_pose_error_map import PoseMap
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )

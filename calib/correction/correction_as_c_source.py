@@ -19,7 +19,7 @@ import numpy as np
 from calib.correction.correction import AnyCorrection
 from calib.correction.correction_fields_as_c_functions import (
     CTables,
-    field_functions,
+    define_field_functions,
     radial_functions,
     wrapped_number_lines,
 )
@@ -131,7 +131,7 @@ def correction_c_source(
     geometry.array("ZERO", fitted.strut_zeros, shape="[6]")
     geometry.array("GAP", gaps, shape="[6]")
     parts = [radial_functions(tables, one) for one in correction.remainder if one is not None]
-    settled = define_remainder(tables, correction.extension, parts)
+    settled = append_add_remainder_c_function(tables, correction.extension, parts)
     maps = _pose_maps(tables, correction)
     return CSource(
         joined_c_parts(
@@ -142,7 +142,7 @@ def correction_c_source(
             c_source_part("settle" if settled else "no remainder"),
             c_source_part("rotation"),
             *([c_source_part("rotation vector"), c_source_part("pose maps")] if maps else []),
-            *commands_of_effects(effects),
+            *effect_compensation_c_functions(effects),
             c_source_part("ranges"),
             c_source_part("correct").replace("    /* insert: pose maps */\n", "".join(maps)),
         ),
@@ -167,7 +167,7 @@ def c_source_part(name: str) -> str:
 
 
 def joined_c_parts(*texts: str) -> str:
-    """The text of a C file of its parts."""
+    """Text of a C file, joined from its parts, empty ones left out."""
     return "\n".join(text.rstrip("\n") + "\n" for text in texts if text)
 
 
@@ -283,7 +283,7 @@ def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: 
     return EffectsInC(terms, {name: float(physics.channels[name][0]) for name in channels}, every.sum(axis=0))
 
 
-def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
+def effect_compensation_c_functions(effects: EffectsInC) -> tuple[str, ...]:
     """C functions that undo effects in commands."""
     if not effects.terms:
         return (c_source_part("no effects"),)
@@ -302,15 +302,15 @@ def commands_of_effects(effects: EffectsInC) -> tuple[str, ...]:
     return "\n".join(lines), c_source_part("effects")
 
 
-def define_remainder(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
-    """Define the summand over the configuration space, add_remainder.
+def append_add_remainder_c_function(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
+    """Append the C function add_remainder, the residual correction over joint space; whether there is any.
 
     axis_functions : names of the functions that add the remainder of each axis that has one
     Returns whether there is any
     """
     names = [name for names in axis_functions for name in names]
     if extension is not None:
-        names += field_functions(tables, extension)
+        names += define_field_functions(tables, extension)
     if names:
         tables.lines += [
             "/* The summand over the configuration space at commands x, m or rad. */",
@@ -330,7 +330,7 @@ def _pose_maps(tables: CTables, correction: AnyCorrection) -> list[str]:
         if one.coordinates != tuple(range(6)):
             raise RigError("a map in pose space over fewer than six coordinates is in no C file")
         number = tables.number()
-        names = field_functions(tables, one.field)
+        names = define_field_functions(tables, one.field)
         tables.function(f"map_{number}", *(f"{name}(x, weight, out);" for name in names))
         tables.array(f"home_{number}", one.home.rotation.as_matrix(), shape="[3][3]")
         statements.append(

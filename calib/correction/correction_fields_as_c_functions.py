@@ -77,52 +77,56 @@ def _nested(numbers: list[str], width: int) -> list[str]:
     return [f"    {{{', '.join(numbers[i : i + width])}}}," for i in range(0, len(numbers), width)]
 
 
-def field_functions(tables: CTables, one: Field) -> list[str]:
-    """Names of the functions that add a Field, which are defined.
+def define_field_functions(tables: CTables, correction_field: Field) -> list[str]:
+    """Define the C functions that add a Field's value, and return their names.
 
     Raises RigError for a kind that no C file states.
     """
-    if isinstance(one, SummedPasses):
-        return [name for part in one.fields for name in field_functions(tables, part)]
-    if isinstance(one, RadialMap):
-        return [name for part in one.parts if part is not None for name in radial_functions(tables, part)]
-    if isinstance(one, RestrictedMap):
-        return _restricted(tables, one)
+    if isinstance(correction_field, SummedPasses):
+        return [name for part in correction_field.fields for name in define_field_functions(tables, part)]
+    if isinstance(correction_field, RadialMap):
+        return [name for part in correction_field.parts if part is not None for name in radial_functions(tables, part)]
+    if isinstance(correction_field, RestrictedMap):
+        return _restricted(tables, correction_field)
     number = tables.number()
     name = f"add_field_{number}"
-    if isinstance(one, Grid):
-        shape = [len(level) for level in one.levels]
-        for i, level in enumerate(one.levels):
+    if isinstance(correction_field, Grid):
+        shape = [len(level) for level in correction_field.levels]
+        for i, level in enumerate(correction_field.levels):
             tables.array(f"levels_{number}_{i}", level)
-        tables.array(f"values_{number}", one.values)
+        tables.array(f"values_{number}", correction_field.values)
         levels = ", ".join(f"levels_{number}_{i}" for i in range(len(shape)))
-        cells, strides = (", ".join(map(str, v)) for v in ([n - 1 for n in shape], one.strides().tolist()))
+        cells, strides = (", ".join(map(str, v)) for v in ([n - 1 for n in shape], correction_field.strides().tolist()))
         struct = f"struct grid f = {{{{{levels}}}, {{{cells}}}, {{{strides}}}, values_{number}}}"
-        tables.parts |= {"grid", one.kind}
-    elif isinstance(one, AxisFunctions):
-        tables.array(f"knots_{number}", one.knots)
-        tables.array(f"coefficients_{number}", one.coefficients)
-        struct = f"struct axis_sum f = {{{one.knots.shape[1]}, knots_{number}, coefficients_{number}}}"
-        tables.parts.add(one.kind)
-    elif isinstance(one, Polynomial):
-        for part, values in (("low", one.low), ("high", one.high), ("coefficients", one.coefficients)):
+        tables.parts |= {"grid", correction_field.kind}
+    elif isinstance(correction_field, AxisFunctions):
+        tables.array(f"knots_{number}", correction_field.knots)
+        tables.array(f"coefficients_{number}", correction_field.coefficients)
+        struct = f"struct axis_sum f = {{{correction_field.knots.shape[1]}, knots_{number}, coefficients_{number}}}"
+        tables.parts.add(correction_field.kind)
+    elif isinstance(correction_field, Polynomial):
+        for part, values in (
+            ("low", correction_field.low),
+            ("high", correction_field.high),
+            ("coefficients", correction_field.coefficients),
+        ):
             tables.array(f"{part}_{number}", values)
-        tables.array(f"powers_{number}", one.powers, "int")
+        tables.array(f"powers_{number}", correction_field.powers, "int")
         named = ", ".join(f"{part}_{number}" for part in ("low", "high", "powers", "coefficients"))
-        struct = f"struct polynomial f = {{{len(one.powers)}, {named}}}"
-        tables.parts.add(one.kind)
+        struct = f"struct polynomial f = {{{len(correction_field.powers)}, {named}}}"
+        tables.parts.add(correction_field.kind)
     else:
         raise RigError(
-            f"an extension of kind {one.kind!r} is in no C file, as it has no table that a controller can hold; "
-            "calibrate with --extend simplex, linear, axes, radial or polynomial, or use `rig correct`"
+            f"an extension of kind {correction_field.kind!r} is in no C file, as it has no table that a controller can "
+            "hold; calibrate with --extend simplex, linear, axes, radial or polynomial, or use `rig correct`"
         )
-    tables.function(name, f"static const {struct};", f"add_{one.kind}(&f, x, weight, out);")
+    tables.function(name, f"static const {struct};", f"add_{correction_field.kind}(&f, x, weight, out);")
     return [name]
 
 
 def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
     """Name of the function that adds a map that fades beyond a part of the space."""
-    names, number = field_functions(tables, one.field), tables.number()
+    names, number = define_field_functions(tables, one.field), tables.number()
     bounds = (("low", one.part.low), ("high", one.part.high), ("fade", one.part.fade))
     for part, values in bounds:
         tables.array(f"{part}_{number}", np.broadcast_to(values, tables.axes))

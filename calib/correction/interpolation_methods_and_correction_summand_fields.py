@@ -14,8 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction import command_timing_and_pose_error_map
-from calib.correction.command_timing_and_pose_error_map import NAMES, PoseMap
+from calib.correction import timed_command_sequence_and_pose_error_map
 from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_and_grid_kernels import Delaunay
 from calib.correction.interpolation.field_interface_and_combinations import (
@@ -28,6 +27,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Linear, Simplex
 from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
+from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )
@@ -268,19 +268,21 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) 
     """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
     Over the coordinates in which the mechanism's poses differ, see
-    `command_timing_and_pose_error_map.PoseMap`. Source:
+    `timed_command_sequence_and_pose_error_map.PoseMap`. Source:
     configuration-space patent, [0035]
     """
     nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
     home = home_pose(nominal)
     T = correction.predict(samples.commanded)
     _, all_over = solvable_commands_and_poses(evenly_spread_configurations(nominal, PLACES, 1.0), correction)
-    x, box = (command_timing_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over))
+    x, box = (
+        timed_command_sequence_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over)
+    )
     both = np.concatenate([x, box])
     variances = np.einsum("nii->ni", samples.covariance)[:, some]
     return FieldSamples(
         x,
-        command_timing_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
+        timed_command_sequence_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
         variances,
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
@@ -304,7 +306,7 @@ def correction_with_pose_space_map(correction: AnyCorrection, field: Field | Non
     """
     if field is None:
         return correction
-    one = command_timing_and_pose_error_map.PoseMap(
+    one = timed_command_sequence_and_pose_error_map.PoseMap(
         home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
     )
     return replace(correction, posed=(*correction.posed, one))

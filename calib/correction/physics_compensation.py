@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.command_timing_and_pose_error_map import Route
 from calib.correction.correction import AnyCorrection
+from calib.correction.timed_command_sequence_and_pose_error_map import Route
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -26,11 +26,11 @@ from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
 from rig.model.design import Actuator, Design, Platform
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.arm import hand_pose_of_each_row
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel
-from rig.model.mechanisms.redundant_struts import with_followers_of
+from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors, sensors_with_gravity
 
@@ -265,7 +265,7 @@ class Machine:
         effects = self.effects if effects is None else effects
         lengths, sway = commands.at(t), np.zeros((len(t), 6))
         if self.physics is not None and effects:
-            design = self.physics.machine(with_followers_of(self.correction.fitted, None))
+            design = self.physics.machine(with_follower_struts_of(self.correction.fitted, None))
             sensed = sensors or self.sensors
             if is_parallel(design.mechanism):
                 lengths = motion_simulation.effective_commands(design, commands, t, T, effects, sensed)

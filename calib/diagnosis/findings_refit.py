@@ -20,7 +20,7 @@ from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
-    operating_point_without_distant_corners,
+    remove_corners_far_from_prediction,
 )
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import correct_marker_swaps
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement, refine_operating_point
@@ -222,9 +222,7 @@ def refit_platform_with_findings(
     report = progress or silent_progress
     report("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
-    point = operating_point_without_distant_corners(
-        correct_marker_swaps(point, [e for e in findings.effects if e.discrete])
-    )
+    point = remove_corners_far_from_prediction(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
     refined = refine_operating_point(
         point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
     )

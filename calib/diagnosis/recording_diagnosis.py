@@ -44,7 +44,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ToleratedFindings,
 )
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
-from calib.models.platform.identification import require_agreeing_lengths
+from calib.models.platform.identification import refuse_redundancy_without_followers
 from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL, Plugin
@@ -154,7 +154,7 @@ def diagnose(
     measuring and calibrating raise
     """
     if is_parallel(recording.design.mechanism):
-        require_agreeing_lengths(recording.design.mechanism)
+        refuse_redundancy_without_followers(recording.design.mechanism)
     requested = RequestedEffects.of(options.only, options.without, options.given, options.kinds)
     evidence = _measured_evidence(recording)(
         recording, requested, options.given, options.calibration, options.sampled, progress

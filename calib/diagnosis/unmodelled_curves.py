@@ -1,4 +1,4 @@
-"""Choice of smooth curves for unnamed findings at axes.
+"""Smooth curves over time, travel or a sensor, chosen for axis errors that a diagnosis leaves without a name.
 
 Curves over time, travel, history or a sensor undo what a diagnosis leaves without a name at an axis.
 
@@ -110,30 +110,32 @@ class _Choice(NamedTuple):
     bare: Floats
 
 
-def choose_curve(views: Sequence[AxisRows], candidates: Sequence[Candidate]) -> ChosenCurve | None:
-    """The curve that explains an axis' residual best.
+def choose_curve(rows_by_scatter: Sequence[AxisRows], candidates: Sequence[Candidate]) -> ChosenCurve | None:
+    """The smooth curve, of the candidates, that explains an axis' residual best on held-out stretches.
 
     None where none holds on held-out stretches.
-    views : the same by scatters that the axis may have, which is chosen with the curve
+    rows_by_scatter : the same by scatters that the axis may have, which is chosen with the curve
     """
-    frames = len(views[0].level)
+    frames = len(rows_by_scatter[0].level)
     fold = frame_folds(frames, True)
-    C = [np.concatenate(rows.columns, axis=1) for rows in views]
-    folds = [[_products(rows, columns, fold == h) for h in np.unique(fold)] for rows, columns in zip(views, C)]
+    C = [np.concatenate(rows.columns, axis=1) for rows in rows_by_scatter]
+    folds = [
+        [_products(rows, columns, fold == h) for h in np.unique(fold)] for rows, columns in zip(rows_by_scatter, C)
+    ]
     before, after = np.zeros(frames), np.zeros(frames)
     for h in np.unique(fold).tolist():
-        found = _best(views, candidates, [[part for k, part in enumerate(each) if k != h] for each in folds])
-        rows, held = views[found.view], fold == h
+        found = _best(rows_by_scatter, candidates, [[part for k, part in enumerate(each) if k != h] for each in folds])
+        rows, held = rows_by_scatter[found.view], fold == h
         bare = rows.residual - rows.nuisances @ found.bare
         with_curve = rows.residual - rows.nuisances @ found.nuisances - rows.columns[found.number] @ found.theta
         before[held], after[held] = rows.in_units(bare)[held], rows.in_units(with_curve)[held]
     gain = signed_rank_gain_in_standard_errors(before**2 - after**2)
-    found = _best(views, candidates, folds)
+    found = _best(rows_by_scatter, candidates, folds)
     if gain < GAIN or found.likelier < LIKELIER:
         return None
     chosen = candidates[found.number]
     effect = chosen.effect({**chosen.grid[0], "size": found.size}, found.theta / found.size)
-    squares = [float(np.mean(part**2)) - views[0].noise ** 2 for part in (before, after)]
+    squares = [float(np.mean(part**2)) - rows_by_scatter[0].noise ** 2 for part in (before, after)]
     return ChosenCurve(effect, math.sqrt(max(squares[0], 0.0)), math.sqrt(max(squares[1], 0.0)), gain)
 
 

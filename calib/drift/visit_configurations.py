@@ -22,7 +22,7 @@ from calib.drift.visit_equations_and_reference import (
     machine_change_columns,
 )
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.models.platform.optimal_calibration_poses import allowed_configurations
+from calib.models.platform.optimal_calibration_poses import configurations_outside_exclusion
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
@@ -85,7 +85,7 @@ def choose_visit_configurations(
     mechanism = fitted_hexapod(calibration)
     if not LEAST <= count <= CANDIDATES:
         raise RigError(f"--count takes {LEAST} to {CANDIDATES} poses, got {count}")
-    candidates = allowed_configurations(
+    candidates = configurations_outside_exclusion(
         configuration_generators.sobol_configurations(mechanism.strut_range, CANDIDATES, FILL, seed),
         lambda c: is_pose_lost(calibration.correction, c),
     )

@@ -22,7 +22,7 @@ from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Camera, Design, Platform
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import log, skew
@@ -122,7 +122,7 @@ AT_ORIGIN = Platform(
 
 
 def fitted_hexapod(calibration: Calibration) -> Hexapod:
-    """The fitted hexapod.
+    """Hexapod with the geometry that a calibration fitted.
 
     Raises RigError for a calibration of another mechanism.
     """

@@ -24,7 +24,7 @@ from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import DISTORTION_TERMS, Camera
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_to_entry
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,

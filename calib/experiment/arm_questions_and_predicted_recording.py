@@ -27,20 +27,20 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
     linearise_planned_poses,
 )
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
-from calib.diagnosis.problems.platform.alternatives_of_findings import WARM
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
     group_sightings,
     remounted_cube_seats,
 )
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
     PerFrame,
     Prediction,
     Question,
     Rival,
-    data_log_odds,
+    deviance_of_alternative,
     is_ruled_out,
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
@@ -100,7 +100,7 @@ def predicted_sensor_log(log: Sensors | None, plan: Plan, temperature_rise: floa
     return sensors_with_payload(plan, Sensors(log.t[:end], first))
 
 
-def fitted_design(fit: Refinement, design: Design) -> Design:
+def design_with_fitted_geometry_and_cameras(fit: Refinement, design: Design) -> Design:
     """Design with the geometry and the cameras as fitted."""
     cameras = {c.name: c for c in fit.point.design.cameras}
     return replace(design, mechanism=fit.point.design.mechanism, cameras=tuple(cameras[c.name] for c in design.cameras))
@@ -110,7 +110,7 @@ def predicted_poses(fit: Refinement, design: Design, plan: Plan, sensors: Sensor
     """Predicted poses T_base_platform (F,) at a plan's exposures, by a fit."""
     moving = [e for e in fit.point.effects if e.stage != "view"]
     return motion_simulation.simulate_machine_run(
-        fitted_design(fit, design), plan.commands, plan.t, moving, sensors
+        design_with_fitted_geometry_and_cameras(fit, design), plan.commands, plan.t, moving, sensors
     ).T_base_platform
 
 
@@ -121,7 +121,11 @@ def predicted_operating_point(
 
     Raises RigError where no camera sees a marker in some of its exposures
     """
-    rng, design, F = np.random.default_rng(SEED), fitted_design(fit, point.design), len(plan.t)
+    rng, design, F = (
+        np.random.default_rng(SEED),
+        design_with_fitted_geometry_and_cameras(fit, point.design),
+        len(plan.t),
+    )
     stated = replace(point.stated, cameras=design.cameras, targets=design.targets)
     here = OperatingPoint(
         design,
@@ -245,7 +249,7 @@ def arm_questions(diagnosis: Diagnosis) -> list[ArmQuestion]:
                     a.behind,
                     ArmFit(fit, geometry),
                     len(bare.terms),
-                    data_log_odds(finding, a, size),
+                    deviance_of_alternative(finding, a, size),
                 )
             )
         out.append(ArmQuestion(rival_hypotheses(found)))

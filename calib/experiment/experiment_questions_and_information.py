@@ -32,7 +32,7 @@ class Hypothesis(Generic[F_co]):
     """One explanation of a finding. name, place; odds : share of all, 0..1; refined : all that is free fitted with it
     in the finding's place, or None where it cannot be fitted (a temperature that nobody logs); number : of it among the
     effects of `refined`
-    data_log_odds : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever
+    deviance : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever
         either costs in simplicity"""
 
     name: str
@@ -40,7 +40,7 @@ class Hypothesis(Generic[F_co]):
     odds: float
     refined: F_co | None
     number: int
-    data_log_odds: float = 0.0
+    deviance: float = 0.0
 
     @property
     def title(self) -> str:
@@ -139,23 +139,21 @@ def predictions_with_unlisted_hypothesis(question: Question[F], predictions: Pre
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival(Generic[F]):
     """A name in the running. behind : how much less likely it is, as minus twice a logarithm; fit : with it; number,
-    data_log_odds : as of Hypothesis"""
+    deviance : as of Hypothesis"""
 
     name: str
     place: str
     behind: float
     fit: F
     number: int
-    data_log_odds: float = 0.0
+    deviance: float = 0.0
 
 
 def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     """Hypotheses of rivals by their odds, the finding's first, an unlisted effect last."""
     weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
     shares = (1 - FOREIGN) * weights / weights.sum()
-    named = [
-        Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.data_log_odds) for r, share in zip(rivals, shares)
-    ]
+    named = [Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.deviance) for r, share in zip(rivals, shares)]
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 
@@ -163,12 +161,12 @@ def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) ->
     """Whether an alternative to a finding is ruled out, by its odds or by the data alone."""
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
-        not same or data_log_odds(finding, alternative, size) >= PLATFORM.alike
+        not same or deviance_of_alternative(finding, alternative, size) >= PLATFORM.alike
     )
 
 
-def data_log_odds(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
-    """Log odds of an alternative against its finding by the data alone, without complexity cost (-2 log)."""
+def deviance_of_alternative(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
+    """Deviance (-2 log likelihood ratio) of an alternative from its finding, without complexity cost."""
     return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))
 
 
@@ -193,11 +191,13 @@ def discriminating_configurations(
     strokes = axis_strokes(design)
     pool = np.concatenate([sobol_configurations(strokes, POOL, seed=seed), grid_configurations(strokes, 2)])
     plan = build_plan(design, "pool", additional_parts={"pool": pool})
-    return pool[choose_exposures([q.predicted_outcomes_of_two_likeliest_hypotheses(plan) for q in open_ones], count)]
+    return pool[
+        most_informative_exposures([q.predicted_outcomes_of_two_likeliest_hypotheses(plan) for q in open_ones], count)
+    ]
 
 
-def choose_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
-    """Numbers (count,) of the exposures that give most information on questions.
+def most_informative_exposures(questions: Sequence[PerFrame], count: int) -> Floats:
+    """Indices (count,) of the exposures that together give most information on questions.
 
     They are chosen greedily.
     Raises ValueError for more than there are, or no question
@@ -252,11 +252,11 @@ class Information:
     right: float
 
 
-def experiment_information(odds: Floats, predictions: Prediction, data_log_odds: Floats) -> Information:
+def experiment_information(odds: Floats, predictions: Prediction, deviance: Floats) -> Information:
     """Information expected of an experiment, from drawn outcomes.
 
     odds : (h,) of the hypotheses
-    data_log_odds : (h,) how much less likely the data so far make each, as minus twice a logarithm
+    deviance : (h,) how much less likely the data so far make each, as minus twice a logarithm
     One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do
     nearly the same, by what the data so far and the experiment say
     """
@@ -273,7 +273,7 @@ def experiment_information(odds: Floats, predictions: Prediction, data_log_odds:
     posterior = likelihood + np.log(odds)
     posterior -= posterior.max(axis=1, keepdims=True)
     best, w, rows = posterior.argmax(axis=1), np.array(weight), np.arange(len(truth))
-    of_all = likelihood - data_log_odds / 2
+    of_all = likelihood - deviance / 2
     by_data = of_all - of_all[rows, best][:, None] < -PLATFORM.alike / 2
     apart = (posterior < -PLATFORM.alike / 2) & ((np.abs(predictions.cosines[best]) <= PLATFORM.cosine) | by_data)
     apart[rows, best] = True

@@ -19,7 +19,14 @@ from rig.formats.checked_entries import Entries
 from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_index_page import Page, write_page
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
-from rig.report.verdict_and_display import LOOK, Evidence, MissingEvidence, State, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import (
+    LOOK,
+    Evidence,
+    MissingEvidence,
+    State,
+    Verdict,
+    judge_evidence,
+)
 
 SETTING_UP = 1.0  # min that a recording takes besides its plan
 

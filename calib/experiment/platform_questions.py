@@ -17,22 +17,22 @@ from typing import cast
 import numpy as np
 
 from calib.diagnosis.engine.linear_model import Column, join_columns
-from calib.diagnosis.problems.platform.alternatives_of_findings import WARM
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     Sensitivities,
     effect_parameter_directions,
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
-from calib.diagnosis.problems.platform.linearised_corners import cube_seat_freedoms
+from calib.diagnosis.problems.platform.linearised_corners import remounted_cube_pose_nuisances
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
     residual_change_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.arm_questions_and_predicted_recording import (
-    fitted_design,
+    design_with_fitted_geometry_and_cameras,
     operating_point_of_last_recording,
     operating_point_with_turned_cubes,
     predicted_operating_point,
@@ -45,7 +45,7 @@ from calib.experiment.experiment_questions_and_information import (
     Prediction,
     Question,
     Rival,
-    data_log_odds,
+    deviance_of_alternative,
     is_ruled_out,
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
@@ -55,7 +55,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import SEAT
+from rig.model.hands_effect_places_and_tolerances import SEAT
 from rig.planning.timed_plan_and_visiting_order import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
@@ -177,7 +177,10 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
         at = replace(model, point=here.with_effects(fit.point.effects))
         columns.append(effect_parameter_directions(at, sensitivities)[1] or _none(model))
         other = replace(
-            here, T=T, design=fitted_design(fit, here.design), seats=remounted_cube_seats(here.design, fit.point.seats)
+            here,
+            T=T,
+            design=design_with_fitted_geometry_and_cameras(fit, here.design),
+            seats=remounted_cube_seats(here.design, fit.point.seats),
         ).with_effects(fit.point.effects)
         moved.append(_between(model, here, other))
         shapes.append(residual_change_with_only_effects(at, _without(fit.point.effects, h.number)))
@@ -210,7 +213,7 @@ def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple
     before = list(model.nuisances.names)
     fresh = [name for name in new.nuisances.names if name not in before]
     P = np.linalg.pinv(model.nuisances.solve)
-    own = cube_seat_freedoms(fresh)
+    own = remounted_cube_pose_nuisances(fresh)
     if sum(map(len, own.values())) != len(fresh):
         raise ValueError(f"the new recording has nuisances that no previous recording has: {fresh}")
     information = np.diag(np.r_[np.zeros(len(before)), np.tile(1 / np.repeat(SEAT, 3) ** 2, len(own))])
@@ -322,7 +325,12 @@ def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
                 continue
             found.append(
                 Rival(
-                    candidate.name, candidate.place, a.behind, refined, len(bare.terms), data_log_odds(finding, a, size)
+                    candidate.name,
+                    candidate.place,
+                    a.behind,
+                    refined,
+                    len(bare.terms),
+                    deviance_of_alternative(finding, a, size),
                 )
             )
         out.append(PlatformQuestion(rival_hypotheses(found), tuple(unasked)))

@@ -32,7 +32,7 @@ from rig.formats.rig_toml.mechanism_entries import (
 from rig.formats.rig_toml.strut_entries import follower_numbers, stated_strut_count
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,

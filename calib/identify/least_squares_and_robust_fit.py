@@ -32,7 +32,7 @@ NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped alo
 def bounded_least_squares_step(
     b: Floats, G: Floats, values: Floats, bounds: Floats, preserved_sums: Floats
 ) -> tuple[Floats, Floats]:
-    """Least-squares step within bounds.
+    """Least-squares step within bounds that keeps some sums of the values, and its covariance.
 
     b : (c,) gradient; G : (c, c) information, priors included in both; bounds : (c, 2) bounds; preserved_sums : (k, c)
         sums that the step must not change
@@ -216,13 +216,13 @@ class Visibility:
     order: Floats
 
 
-def parameter_visibility(root: Floats, size: Floats) -> Visibility:
+def parameter_visibility(information_root: Floats, plausible_size: Floats) -> Visibility:
     """Visibility of parameters from the square root of their information.
 
-    root : (j, k); size : (k,) plausible sizes
+    information_root : (j, k); plausible_size : (k,) plausible sizes
     """
-    _, s, directions = np.linalg.svd(root * size, full_matrices=False)
-    order = qr(root * size, mode="r", pivoting=True)[1]
+    _, s, directions = np.linalg.svd(information_root * plausible_size, full_matrices=False)
+    order = qr(information_root * plausible_size, mode="r", pivoting=True)[1]
     return Visibility(s, directions, float(s[0] / s[-1]) if s[-1] > 0 else np.inf, order)
 
 
@@ -369,7 +369,7 @@ def robust_weights(squared_lengths: Floats, count: int) -> Floats:
 
 
 def time_block_folds(count: int, folds: int) -> Integers:
-    """Fold number (count,) of each sample.
+    """Fold number (count,) of each sample, folds being contiguous blocks of time of equal size.
 
     Time blocks of equal size, never single rows.
     """

@@ -19,7 +19,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model_and_identification as chains
-from calib.samples.platform_poses_with_alignment_and_tilts import free_ends, poses_aligned_with_machine, stays_level
+from calib.samples.platform_poses_with_alignment_and_tilts import (
+    are_base_and_tool_frames_unknown,
+    has_translation_only_platform,
+    poses_aligned_with_machine,
+)
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.model.design import Instrument
@@ -168,21 +172,18 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
     """Whitened residuals and columns of samples about a placement. scatter : (6,) m, rad beyond the poses' noise"""
     moved = samples_in_reference(samples, placement, predicted)
     rows = 3 if samples.measured == "position" else 6
-    turned = predicted.inv() * moved.T_base_platform
-    left = pose_to_vector(turned)[:, :rows]
+    left = pose_to_vector(predicted.inv() * moved.T_base_platform)[:, :rows]
     covariance = moved.total_covariance()[:, :rows, :rows] + np.diag(scatter[:rows] ** 2)
     W = np.linalg.inv(np.linalg.cholesky(covariance))
-    columns = placement_columns(predicted, placement.origin)[:, :rows] * requested_numbers(
-        placement.ends, samples.measured
-    )
+    W_columns = W @ placement_columns(predicted, placement.origin)[:, :rows]
     left = (W @ left[..., None])[..., 0]
     size = np.sqrt((left**2).mean(axis=1))
-    size = size / max(1.0, float(np.median(size)))
-    return _White(left, W @ columns, np.minimum(1.0, HUBER / np.maximum(size, 1e-12)), W)
+    weight = np.minimum(1.0, HUBER * max(1.0, float(np.median(size))) / np.maximum(size, 1e-12))
+    return _White(left, W_columns * placement_parameter_mask(placement.ends, samples.measured), weight, W)
 
 
-def requested_numbers(ends: tuple[bool, bool], measured: str) -> Booleans:
-    """Placement numbers (12,) bool that are estimated of ends.
+def placement_parameter_mask(ends: tuple[bool, bool], measured: str) -> Booleans:
+    """Which (12,) bool of the base's and the tool's six placement parameters are estimated.
 
     Positions tell no rotation of the tool.
     """
@@ -219,7 +220,7 @@ def estimate_placement(
         found = found.stepped(step)
         if np.abs(step).max() < SETTLED:
             break
-    requested = requested_numbers(ends, samples.measured)
+    requested = placement_parameter_mask(ends, samples.measured)
     freedom = max(white.left.size - int(requested.sum()), 1)
     excess = max(1.0, float(((white.weight[:, None] * white.left) ** 2).sum()) / freedom)
     return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(requested, requested))
@@ -280,13 +281,13 @@ def has_placements(mechanism: object, measured: str) -> bool:
 
 
 def base_origin(mechanism: Arm | Chain) -> Floats:
-    """Base origin (3,) m in the frame of poses."""
+    """Origin (3,) m of an arm's or a chain's base in the frame in which its poses are given."""
     first = mechanism.stages[0] if isinstance(mechanism, Chain) else mechanism
     return first.base.translation if isinstance(first, Arm) else np.zeros(3)
 
 
-def target_poses(samples: Samples, machine: Arm | Chain) -> RigidTransform:
-    """Target poses (n,) that a machine reaches at samples.
+def target_poses_by_forward_kinematics(samples: Samples, machine: Arm | Chain) -> RigidTransform:
+    """Target poses (n,) by a machine's forward kinematics at the samples' effective commands.
 
     At their effective commands, the machine as it is.
     """
@@ -319,10 +320,11 @@ def samples_without_displacement(calibration: Calibration, recording: Recording,
 
 def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
     """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
-    fitted, ends = calibration.correction.fitted, free_ends(instrument, calibration.correction.nominal)
+    nominal, fitted = calibration.correction.nominal, calibration.correction.fitted
+    ends = are_base_and_tool_frames_unknown(instrument, nominal)
     if any(ends):
         predicted = calibration.correction.predict(samples.effective)
-        level = stays_level(calibration.correction.nominal)
+        level = has_translation_only_platform(nominal)
         T, turn, line = poses_aligned_with_machine(samples.T_base_platform, predicted, ends, level)
         own, common = turn @ samples.covariance @ turn.T, turn @ samples.common
         return PlacedSamples(replace(samples, T_base_platform=T, covariance=own, common=common), lines=(line,))
@@ -369,7 +371,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     if samples.measured == "position":
         T = RigidTransform.from_translation(T.translation)
     unexpected = tuple(name for name, moved_, free in zip(ENDS, found.moved, always) if moved_ and not free)
-    numbers = int(requested_numbers(found.ends, samples.measured).sum())
+    numbers = int(placement_parameter_mask(found.ends, samples.measured).sum())
     lines = [
         *found.lines(),
         f"the errors are without this: {numbers} numbers were estimated from these {len(samples)} poses, and what they "
@@ -392,7 +394,7 @@ def _by_shared_errors(
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
     common = samples_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
     B = np.linalg.solve(H, np.einsum("nka,nkc->ac", white.columns, white.W @ common))
-    requested = requested_numbers(found.ends, samples.measured)
+    requested = placement_parameter_mask(found.ends, samples.measured)
     return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(requested, requested)
 
 

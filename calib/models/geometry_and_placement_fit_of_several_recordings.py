@@ -24,10 +24,10 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     estimate_placement,
     is_placement_significant,
     placement_columns,
+    placement_parameter_mask,
     placement_with_significant_displacements,
-    requested_numbers,
     samples_in_reference,
-    target_poses,
+    target_poses_by_forward_kinematics,
 )
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.chain.error_model_and_identification import identify_chain
@@ -50,9 +50,9 @@ def _joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placemen
     none = replace(placements[0], base=NONE, tool=NONE, ends=(False, False))
     moved, count = [], 12 * len(placements)
     for k, (part, place) in enumerate(zip(parts, (none, *placements))):
-        T = target_poses(part, machine)
+        T = target_poses_by_forward_kinematics(part, machine)
         one = samples_in_reference(part, place, T)
-        requested = requested_numbers(place.ends, part.measured)
+        requested = placement_parameter_mask(place.ends, part.measured)
         columns = np.zeros((len(part), 6, count))
         below = []
         if k:
@@ -157,7 +157,9 @@ def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, 
     free = () if design.instrument is None else (design.instrument.base == "free", design.instrument.tool == "free")
     tested = []
     for one, part in zip(found, parts[1:]):
-        clear = any(free) or is_placement_significant(target_poses(part, fit.machine), part, one, fit.scatter)
+        clear = any(free) or is_placement_significant(
+            target_poses_by_forward_kinematics(part, fit.machine), part, one, fit.scatter
+        )
         repeated = placement_with_significant_displacements(one, (False, False), clear)
         own = one if repeated.ends == (True, True) else _placement(part, fit.machine, fit.scatter, repeated.ends)
         tested.append(replace(own, p_values=repeated.p_values))
@@ -168,7 +170,9 @@ def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, 
 
 def _placement(samples: Samples, machine: Arm | Chain, scatter: Floats, ends: tuple[bool, bool]) -> Placement:
     """Placement of a recording's samples against a machine as it is; no motion where no end is asked for."""
-    return estimate_placement(target_poses(samples, machine), samples, base_origin(machine), scatter, ends)
+    return estimate_placement(
+        target_poses_by_forward_kinematics(samples, machine), samples, base_origin(machine), scatter, ends
+    )
 
 
 class _PlacedFit(NamedTuple):
@@ -199,7 +203,7 @@ def _placed_with_geometry(
         placements = [one.stepped(own) for one, own in zip(placements, step.reshape(-1, 12))]
         if np.abs(step).max() < PLACED:
             break
-    requested = np.concatenate([requested_numbers(one.ends, samples.measured) for one in placements])
+    requested = np.concatenate([placement_parameter_mask(one.ends, samples.measured) for one in placements])
     covariance = covariance * np.outer(requested, requested)
     blocks = [covariance[k : k + 12, k : k + 12] for k in range(0, len(covariance), 12)]
     done = [replace(one, covariance=own) for one, own in zip(placements, blocks)]

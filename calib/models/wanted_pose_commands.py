@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.command_timing_and_pose_error_map import Pace, Route, timed_route, untimed_route
 from calib.correction.correction import Responses
 from calib.correction.physics_compensation import (
     Machine,
@@ -24,6 +23,7 @@ from calib.correction.physics_compensation import (
     compensated_commands_at_poses,
     travel_until_earlier_path_is_forgotten,
 )
+from calib.correction.timed_command_sequence_and_pose_error_map import Pace, Route, timed_route, untimed_route
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.protocols.gcs import PoseFrames
@@ -31,7 +31,7 @@ from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
-from rig.model.mechanisms.redundant_struts import with_followers_of
+from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.model.motion_simulation import motion_of_commands
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
@@ -194,7 +194,7 @@ def _covariance(
     any_time = t + ANY_TIME * (
         np.arange(len(t)) * GOLDEN % 1
     )  # not the poses' own times, which may all meet a sinusoid alike
-    design = physics.machine(with_followers_of(calibration.correction.fitted, None))
+    design = physics.machine(with_follower_struts_of(calibration.correction.fitted, None))
     motion = motion_of_commands(design, commands, t, of.effects, of.sensors, T)
     for effect in of.effects:
         far = effect.uncovered(motion)

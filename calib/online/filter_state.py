@@ -93,10 +93,15 @@ def _initial_estimate(p: Floats, root: Floats, shared: int) -> Estimate:
     return Estimate(p.copy(), np.zeros(shared), S, np.zeros((WINDOW, SUMS)))
 
 
-def initial_state(start: Start, shared: int) -> State:
+def initial_state(start: Start, common_error_count: int) -> State:
     """Initial state, before any pose."""
     return State(
-        _initial_estimate(geometric_parameters(start.nominal), start.root, shared), 0, (), (), np.zeros(6), False
+        _initial_estimate(geometric_parameters(start.nominal), start.root, common_error_count),
+        0,
+        (),
+        (),
+        np.zeros(6),
+        False,
     )
 
 
@@ -138,7 +143,7 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
 
 
 def relinearised_state(state: State, start: Start) -> State:
-    """State relinearised.
+    """Filter state after all poses so far are filtered again about the present estimate.
 
     All poses so far filtered again about the present estimate.
 

@@ -244,7 +244,7 @@ def set_exposures(
     return made, lines
 
 
-def run_observer(
+def make_run_observer(
     design: Design,
     planned: tuple[Step, ...],
     start: Floats,
@@ -253,7 +253,7 @@ def run_observer(
     options: RunOptions,
     out: Path,
 ) -> RunObserver:
-    """RunObserver of a run, by accepted limbs where the options name them.
+    """Make the RunObserver that measures and learns during a run, by accepted limbs where the options name them.
 
     start : (axes,) m; out : the recording, named where an acceptance is withdrawn
     """

@@ -12,14 +12,14 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.online.live_learner_and_run_state import MeasuredFrame, RunState
 from calib.online.observer_of_run_frames import RunObserver
-from calib.report.pose_and_effect_figures import closed_outline, fixed_rig_lines
+from calib.report.pose_and_effect_figures import closed_outline_sorted_by_angle, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
-from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.frame_pictures import encode_jpeg
 from vision.predict import MarkerMap, marker_map
 
@@ -206,7 +206,8 @@ def _rig(design: Design, fixed: list[Json], markers: MarkerMap | None, T: RigidT
             for k, (low, high) in enumerate(zip(m.base_joints, top), 1)
         ]
         parts += [
-            {"kind": "plate", "points": around} for around in (closed_outline(m.base_joints), closed_outline(top))
+            {"kind": "plate", "points": around}
+            for around in (closed_outline_sorted_by_angle(m.base_joints), closed_outline_sorted_by_angle(top))
         ]
         middle = (m.home.translation / 2).tolist()
     if markers is not None and T is not None:

@@ -24,7 +24,7 @@ from rig.report.pages.html_and_svg_elements import (
 )
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_display import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 
 MANY = 6  # changes beyond which they are not believed to be steps
 ASK = "Determine the effects on the struts or the measurement: `rig diagnose REC --out found`"

@@ -41,7 +41,7 @@ from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane
 from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated
 
 

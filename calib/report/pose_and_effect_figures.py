@@ -174,7 +174,7 @@ def rig_scene(
     elif m.axes and values is not None:
         links = mechanisms.kinematics_of(m).link_points(values, m)
     for lines, joints in zip((fixed, moved), m.plates or ()):
-        lines.append({"kind": "plate", "points": closed_outline(joints)})
+        lines.append({"kind": "plate", "points": closed_outline_sorted_by_angle(joints)})
     if not len(platform):
         moved += _cross()
     return Scene(
@@ -238,8 +238,8 @@ def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[Json]:
     return parts
 
 
-def closed_outline(joints: Floats) -> list[list[float]]:
-    """Closed outline [(x, y, z) ..] m around joints (n, 3) m."""
+def closed_outline_sorted_by_angle(joints: Floats) -> list[list[float]]:
+    """Closed outline [(x, y, z) ..] m of joints (n, 3) m, in order of angle around their middle."""
     around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
     return joints[np.r_[around, around[0]]].tolist()
 

@@ -27,7 +27,7 @@ from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_display import Evidence, MissingEvidence, State, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, State, Verdict, judge_evidence
 
 
 def write_recording_page(

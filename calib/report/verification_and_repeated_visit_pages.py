@@ -36,7 +36,14 @@ from rig.report.pages.html_and_svg_elements import captioned_html, heading_html,
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
-from rig.report.verdict_and_display import AGREES, Evidence, MissingEvidence, Refutation, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import (
+    AGREES,
+    Evidence,
+    MissingEvidence,
+    Refutation,
+    Verdict,
+    judge_evidence,
+)
 
 FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
 ANOTHER = "Verify with a recording that was not used in the calibration: `rig verify calibration.json OTHER-REC`"

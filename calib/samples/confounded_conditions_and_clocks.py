@@ -131,7 +131,7 @@ def confounds_of_configurations(values: Floats, start: Floats, mechanism: Parall
 
 
 def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
-    """Confounds of several recordings of one machine, in time.
+    """Confounds of several recordings of one machine, taken as one recording, one after the other in time.
 
     None where one has no commands.
 

@@ -33,7 +33,7 @@ FITS = 0.25  # of how far positions lie about their middle; an instrument's plac
 LEVEL = 1.0  # rad; stands for the rotations of a platform that stays level, which were not measured and do not count
 
 
-def stays_level(mechanism: Mechanism) -> bool:
+def has_translation_only_platform(mechanism: Mechanism) -> bool:
     """Whether a parallel machine's platform only changes its position, so that positions tell all of it."""
     return is_parallel(mechanism) and set(mechanism.pose_coordinates) <= {0, 1, 2}
 
@@ -42,7 +42,7 @@ def pose_covariance(poses: Poses, instrument: Instrument | None, mechanism: Mech
     """(n, 6, 6) of poses: their own, or what their instrument states."""
     if poses.covariance is not None:
         return poses.covariance
-    unknown = LEVEL if stays_level(mechanism) else np.inf
+    unknown = LEVEL if has_translation_only_platform(mechanism) else np.inf
     position, rotation = (
         (instrument.position_sigma, instrument.rotation_sigma or unknown) if instrument is not None else UNSTATED
     )
@@ -54,9 +54,10 @@ def pose_covariance(poses: Poses, instrument: Instrument | None, mechanism: Mech
     return np.broadcast_to(np.diag(variances), (len(poses.frame), 6, 6))
 
 
-def free_ends(instrument: Instrument | None, mechanism: Mechanism) -> tuple[bool, bool]:
-    """Whether base and tool of a parallel machine's instrument stand where nobody knows. Where the base is, positions
-    alone of a platform that stays level leave the tool's place a part of the base's.
+def are_base_and_tool_frames_unknown(instrument: Instrument | None, mechanism: Mechanism) -> tuple[bool, bool]:
+    """Whether the frames of a parallel machine's base and tool are unknown in those of its instrument (2 bools).
+
+    Where the base's is, positions alone of a platform that only translates leave the tool's place a part of the base's.
     """
     if instrument is None or not is_parallel(mechanism) or instrument.kind != "pose":
         return False, False
@@ -71,7 +72,7 @@ def recording_in_machine_frames(recording: Recording) -> Recording:
     Raises RigError where no place of the instrument fits
     """
     design, poses = recording.design, recording.poses
-    m, ends = design.mechanism, free_ends(design.instrument, design.mechanism)
+    m, ends = design.mechanism, are_base_and_tool_frames_unknown(design.instrument, design.mechanism)
     if poses is None or not any(ends) or not is_parallel(m):
         return recording
     assert design.instrument is not None
@@ -105,23 +106,23 @@ def recording_in_machine_frames(recording: Recording) -> Recording:
 
 
 def poses_aligned_with_machine(
-    T: RigidTransform, predicted: RigidTransform, ends: tuple[bool, bool], level: bool
+    T: RigidTransform, predicted: RigidTransform, ends: tuple[bool, bool], translation_only: bool
 ) -> tuple[RigidTransform, Floats, str]:
     """Poses (n,) aligned with what a calibrated parallel machine predicts.
 
     Also the (6, 6) transform of their tangents, and a sentence. What the numbers take of the noise is given back.
 
-    ends : which are unknown; level : whether the platform stays level
+    ends : which are unknown; translation_only : whether the platform stays level
     """
-    base, tool = align_poses(predicted, T, ends, 3 if level else 6)
-    numbers, figures = (6 if ends[0] else 3, 3 * len(T)) if level else (6 * sum(ends), 6 * len(T))
+    base, tool = align_poses(predicted, T, ends, 3 if translation_only else 6)
+    numbers, figures = (6 if ends[0] else 3, 3 * len(T)) if translation_only else (6 * sum(ends), 6 * len(T))
     left = pose_difference(predicted, base.inv() * T * tool.inv()) / np.sqrt(1 - min(numbers / figures, 0.9))
-    left[:, 3:] *= not level
+    left[:, 3:] *= not translation_only
     line = (
         f"the instrument stands anywhere: {numbers} numbers were estimated from these {len(T)} poses, and what they "
         "took of the noise is given back"
     )
-    return predicted * pose(left[:, :3], left[:, 3:]), np.eye(6) if level else adjoint(tool), line
+    return predicted * pose(left[:, :3], left[:, 3:]), np.eye(6) if translation_only else adjoint(tool), line
 
 
 def poses_with_platform_tilts(

@@ -17,16 +17,16 @@ from scipy.spatial.transform import RigidTransform
 from calib.samples.exposure_conditions import Conditions, conditions_of_exposures
 from calib.samples.platform_poses_with_alignment_and_tilts import (
     UNSTATED,
+    has_translation_only_platform,
     pose_covariance,
     poses_with_platform_tilts,
     recording_in_machine_frames,
-    stays_level,
 )
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.frame_selection_and_content_hashes import (
     hands_with_seen_targets,
@@ -230,8 +230,8 @@ def samples_of_movable_coordinates(samples: Samples, mechanism: Mechanism) -> Sa
     return replace(samples, T_base_platform=T, covariance=covariance, common=to @ samples.common)
 
 
-def inverse_covariance(covariance: Floats) -> Floats:
-    """Inverse covariance (n, 6, 6), 0 in the directions in which a machine has no freedom."""
+def pose_covariance_pseudoinverse(covariance: Floats) -> Floats:
+    """Pseudoinverse (n, 6, 6) of pose covariances, 0 in the directions in which a machine has no freedom."""
     none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
     return cast(Floats, np.linalg.inv(covariance + none) - none)
 
@@ -390,7 +390,7 @@ def _require_whole_poses(recording: Recording, instrument: Instrument) -> None:
             f"{recording.folder}: an [instrument] of kind {instrument.kind!r} calibrates arms, not a "
             f"mechanism of kind {kind!r}"
         )
-    if instrument.rotation_sigma is None and not stays_level(recording.design.mechanism):
+    if instrument.rotation_sigma is None and not has_translation_only_platform(recording.design.mechanism):
         raise RigError(
             f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, "
             "not a mechanism of "

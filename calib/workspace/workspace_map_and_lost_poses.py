@@ -42,7 +42,7 @@ class MachineReach:
 
 
 def uncorrected_machine(correction: AnyCorrection) -> AnyCorrection:
-    """The uncorrected machine.
+    """Correction of the nominal machine that corrects nothing.
 
     Nominal, as a Correction that corrects nothing.
     """
@@ -60,7 +60,7 @@ def reachable_poses_and_loss(machine: AnyCorrection, other: AnyCorrection, comma
 
 
 def is_pose_lost(correction: AnyCorrection, configurations: Floats) -> Booleans:
-    """Whether the nominal pose at configurations (n, axes) is lost.
+    """Whether the nominal pose at configurations (n, axes) is out of the corrected machine's reach.
 
     Out of the corrected machine's reach.
 

@@ -26,7 +26,7 @@ from rig.report.pages.html_and_svg_elements import (
 )
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
-from rig.report.verdict_and_display import Evidence, MissingEvidence, Verdict, judge_evidence
+from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
 def workspace_lines(workspace: Workspace, unit: str) -> list[str]:

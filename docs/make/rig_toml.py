@@ -37,7 +37,7 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.hands_places_and_tolerances import Branch, Hand
+from rig.model.hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arms_and_layouts
 

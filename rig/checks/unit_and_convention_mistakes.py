@@ -194,7 +194,9 @@ def _planned_followers(q: Floats, hexapod: Hexapod) -> Iterator[Mistake]:
     """Struts that are measured and whose lengths (n, struts) agree with the stated geometry as only planned ones do."""
     lengths = q[np.linspace(0, len(q) - 1, min(len(q), LOOKED_AT)).astype(int)]
     try:
-        apart = np.abs(redundant_struts.conflict(kinematics.forward(lengths, hexapod), lengths, hexapod)).max()
+        apart = np.abs(
+            redundant_struts.incompatible_strut_length_component(kinematics.forward(lengths, hexapod), lengths, hexapod)
+        ).max()
     except NotConverged:
         return  # what is no pose at all has other reasons
     if apart < PLANNED:

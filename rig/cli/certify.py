@@ -29,7 +29,7 @@ from rig.cli.shared.input_options import read_recording
 from rig.cli.shared.output_display import Progress, print_frames_without_pose
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number
-from rig.report.verdict_and_display import exit_status
+from rig.report.verdict_refutations_and_result_display import exit_status
 
 if TYPE_CHECKING:
     from calib.api.certify import CertificationResult
@@ -157,7 +157,7 @@ def run(arguments: Namespace) -> int:
     from calib.api.certify import certify
     from calib.certificate.certificate_computation_verdict_and_provenance import certificate_provenance
     from calib.files import calibration_file
-    from rig.report.verdict_and_display import refutations_of_file
+    from rig.report.verdict_refutations_and_result_display import refutations_of_file
 
     calibration = calibration_file.load(arguments.calibration, several_hands=True)
     whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)

@@ -113,7 +113,7 @@ def _main(argv: list[str]) -> int:
         raise SystemExit(_flushed("rig", end.code)) from None
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
-    arguments.argv, arguments.all_commands, arguments.call = argv, nested_command_parser, main
+    arguments.argv, arguments.all_commands, arguments.call = argv, shell_completion_parser, main
     return _run(arguments)
 
 
@@ -151,7 +151,7 @@ def _grouped_commands() -> str:
     return grouped_command_text(get_terminal_size((80, 24)).columns)
 
 
-def nested_command_parser() -> Parser:
+def shell_completion_parser() -> Parser:
     """Parser of all commands for completion.
 
     Commands of two words are subcommands of the first.

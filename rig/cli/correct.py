@@ -333,7 +333,7 @@ def run_serve(arguments: Namespace) -> None:
 
     Answer until interrupted or terminated.
     """
-    from calib.api.pose_move_and_correction_server import CorrectionServer
+    from calib.api.correction_server_and_move_to_pose import CorrectionServer
 
     calibration = input_options.calibration_of_arguments(arguments)
     output_display.read_and_print_refutations(arguments.calibration)

@@ -13,7 +13,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
-from rig.cli.shared.input_options import add_earlier_option
+from rig.cli.shared.input_options import add_deprecated_option_name
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
@@ -104,7 +104,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="of grblhal-kins: length of the struts where the motors count 0, m, one or six, as [controller] zero "
         "(default: of the home pose)",
     )
-    add_earlier_option(parser, "--parts", "parts", parse_whole_number)
+    add_deprecated_option_name(parser, "--parts", "parts", parse_whole_number)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 

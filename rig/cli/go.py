@@ -24,7 +24,7 @@ from rig.formats.numbers_and_units import parse_numbers
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-    from calib.api.pose_move_and_correction_server import PoseMove
+    from calib.api.correction_server_and_move_to_pose import PoseMove
     from rig.formats.numbers_and_units import LengthAndAngleUnits
 
 
@@ -58,7 +58,7 @@ def run(arguments: Namespace) -> None:
 
     Move the platform to one pose through a calibration.
     """
-    from calib.api.pose_move_and_correction_server import plan_pose_move, require_same_rig
+    from calib.api.correction_server_and_move_to_pose import plan_pose_move, require_same_rig
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.formats.numbers_and_units import SI

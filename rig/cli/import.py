@@ -167,11 +167,11 @@ def _pointing(arguments: argparse.Namespace) -> None:
 def _print_camera_places(folder: Path) -> None:
     """Print where a few images of the recording in a folder put its cameras, of which poses are stated by hand."""
     from rig.recording.recording_folder import load_recording
-    from vision.checks.image_sample_corners_and_dictionary_mistakes import few_image_corners
+    from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_few_images
     from vision.checks.mistake_search_by_trial_corrections import misplaced_or_exchanged_camera_sentences
 
     recording = load_recording(folder)
-    corners = few_image_corners(recording) if recording.has_images else None
+    corners = corners_of_few_images(recording) if recording.has_images else None
     for line in () if corners is None else misplaced_or_exchanged_camera_sentences(recording, corners):
         print(f"found: {line}")
 

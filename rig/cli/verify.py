@@ -22,7 +22,7 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.input_options import add_recording_argument, read_recording
 from rig.cli.shared.output_display import Progress, print_frames_without_pose, print_held_out_errors
-from rig.report.verdict_and_display import exit_status
+from rig.report.verdict_refutations_and_result_display import exit_status
 
 if TYPE_CHECKING:
     from calib.api.verify_and_watch import VerificationResult
@@ -52,7 +52,7 @@ def run(arguments: Namespace) -> int:
     Exit status 3 where the verdict is bad.
     """
     from calib.api.verify_and_watch import verify
-    from rig.report.verdict_and_display import refutations_of_file
+    from rig.report.verdict_refutations_and_result_display import refutations_of_file
 
     progress = Progress()
     progress("reading the recording", 0, 1)
@@ -78,7 +78,7 @@ def run(arguments: Namespace) -> int:
 
 def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
     """Poses that a recording's frames were intended to take. Raises RigError where it shows several hands."""
-    from rig.model.hands_places_and_tolerances import hand_names, seen_hand
+    from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
     from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
     from rig.recording.recording_tables import load_poses
 

@@ -21,7 +21,7 @@ from rig.cli.shared.common_options import (
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_whole_number
-from rig.report.verdict_and_display import exit_status, refutations_of_file
+from rig.report.verdict_refutations_and_result_display import exit_status, refutations_of_file
 
 POSES = 12
 

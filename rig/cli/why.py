@@ -12,7 +12,7 @@ from rig.cli.shared.argument_parsing import parse_length, parse_tolerance
 from rig.cli.shared.common_options import add_json_option, add_overwrite_option, page_links, print_json
 from rig.cli.shared.input_options import add_anyway_option
 from rig.cli.shared.output_display import Progress
-from rig.report.verdict_and_display import exit_status
+from rig.report.verdict_refutations_and_result_display import exit_status
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -219,7 +219,9 @@ class Kernel:
             finally:
                 settings.CACHE_DIR = before
         if self._options.get("cache") and hasattr(compiled, "_cache"):  # none where compilation is switched off
-            compiled._cache._cache_file._source_stamp = self.digest
+            file = compiled._cache._cache_file
+            file._source_stamp = self.digest
+            file._version += self.digest.hex()  # read first: what follows it may need modules that have moved
         return cast(Callable[..., object], compiled)
 
     @cached_property

@@ -88,8 +88,8 @@ def bound_lock_socket(name: str, port: str) -> socket.socket:
     return held
 
 
-def send_lock_holder_to_caller(name: str, caller: socket.socket) -> None:
-    """Send to a caller which process holds the lock.
+def send_lock_name_and_process_id(name: str, caller: socket.socket) -> None:
+    """Send a caller the name of the lock and the number of this process, which holds it.
 
     Only where the system does not tell it. Raises OSError where the caller is gone.
     """
@@ -339,7 +339,7 @@ def _device(path: str) -> set[str]:
 
 def _received(name: str, caller: socket.socket) -> bytes:
     try:
-        send_lock_holder_to_caller(name, caller)
+        send_lock_name_and_process_id(name, caller)
         return caller.recv(len(STOP))
     except OSError:  # silent, or gone
         return b""

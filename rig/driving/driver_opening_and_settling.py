@@ -21,7 +21,7 @@ from rig.driving.ports_and_numbered_frames import open_port
 from rig.driving.protocols import protocol_of_controller
 from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.strut_driver import Driver
-from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Controller, Design
@@ -35,7 +35,7 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
     Raises RigError for one without, and for one that names programs and is not the operator's own
     """
     design = design_from_rig_toml.load_design(path)
-    require_own_rig_toml(path, design)
+    refuse_programs_of_untrusted_rig_toml(path, design)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
     if port and (problem := port_problem(port)):

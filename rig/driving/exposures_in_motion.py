@@ -118,7 +118,7 @@ class FramesDuringMove:
 
 
 def lengths_reported_at(reports: Sequence[PositionReport], t: float, start: Floats) -> Floats:
-    """(n,) m between the reports about t (s); start : (n,) m, where there is none.
+    """Strut lengths (n,) m at time t s, interpolated between the position reports about it.
 
     reports : in the order of their times; another thread may append to them meanwhile
     """
@@ -130,8 +130,8 @@ def lengths_reported_at(reports: Sequence[PositionReport], t: float, start: Floa
     return np.array([np.interp(t, times, column) for column in np.array([report.lengths for report in near]).T])
 
 
-def row_of_reports(t: float, reports: Sequence[PositionReport], origin: float) -> PositionReports:
-    """Row of the journal with reports. t : s, of the row; origin : s, the clock's time at t = 0 of the recording"""
+def journal_row_of_position_reports(t: float, reports: Sequence[PositionReport], origin: float) -> PositionReports:
+    """Journal row, written at t (s), of the controller's position reports, timed from the origin (s)."""
     return PositionReports(
         t,
         tuple(report.t - origin for report in reports),

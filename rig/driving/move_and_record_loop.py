@@ -17,7 +17,7 @@ from rig.driving.cameras.camera_interface_and_user_cameras import Frame, StampDi
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
-from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at, row_of_reports
+from rig.driving.exposures_in_motion import FramesDuringMove, journal_row_of_position_reports, lengths_reported_at
 from rig.driving.move_profiles_and_path_check import TimedShares, profile_of_reports
 from rig.driving.recording_from_run_journal import GrowingRecording
 from rig.driving.run_journal import (
@@ -37,7 +37,7 @@ from rig.driving.run_steps_and_progress import (
     Step,
     interrupted_move_result,
     progress_from_journal,
-    start_of_step,
+    start_position_of_step,
 )
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.atomic_files_and_locks import sync_folder
@@ -224,7 +224,7 @@ class RunOperator:
 
     def _begin(self, state: Progress) -> Progress:
         """Progress where a step in motion can begin: one that failed at its goal lacks frames, and goes back."""
-        begin = start_of_step(self._journal.rows, self.planned, state.step)
+        begin = start_position_of_step(self._journal.rows, self.planned, state.step)
         goal, tolerance = self.planned[state.step].goal, self.bench.tolerance
         if np.abs(state.position - goal).max() > tolerance or np.abs(begin - goal).max() <= tolerance:
             return state
@@ -274,7 +274,7 @@ class RunOperator:
 
     def _write_reports(self, reports: list[PositionReport]) -> None:
         if reports:
-            self.write(row_of_reports(self.now(), reports, self._origin))
+            self.write(journal_row_of_position_reports(self.now(), reports, self._origin))
 
     def _settle(self) -> None:
         bench, shutter = self.bench, self.bench.shutter

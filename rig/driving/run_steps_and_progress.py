@@ -70,8 +70,8 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
     return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
 
 
-def steps_in_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
-    """The steps of a plan as moves at a speed (m/s of the strut that moves most), exposed all the way.
+def steps_exposed_during_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
+    """Steps of a plan as moves at a speed (m/s of the fastest strut) with exposures all along each move.
 
     max_speed : (axes,) m/s. Raises RigError for a speed that a strut may not have.
     """
@@ -175,8 +175,8 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
     return Progress(step, frames, number, position, pending, arrived, journal_rows[-1].t, ended, lost, exposures)
 
 
-def start_of_step(journal_rows: list[Row], steps: tuple[Step, ...], index: int) -> Floats:
-    """(axes,) m, where a step of a run begins, by its plan; the first where the struts stood at the start of the run.
+def start_position_of_step(journal_rows: list[Row], steps: tuple[Step, ...], index: int) -> Floats:
+    """Axis values (axes,) m where a step of a run starts: the goal before it, or where the run began.
 
     Raises RigError for rows that no run leaves.
     """

@@ -38,8 +38,8 @@ T = TypeVar("T")
 RECORDED = ("journal.jsonl", "frames.csv")  # files that make a folder a recording
 
 
-def require_own_rig_toml(path: Path, design: Design) -> None:
-    """Raise RigError where a rig.toml that names programs is behind a URL or a part of a recording.
+def refuse_programs_of_untrusted_rig_toml(path: Path, design: Design) -> None:
+    """Raise RigError where a rig.toml that names programs to run is behind a URL or part of a recording.
 
     Whoever wrote that is not the operator of this machine.
     """
@@ -89,8 +89,8 @@ def missing_member(kind: type[object], base: type[object], members: tuple[str, .
     return next((name for name in members if getattr(kind, name, None) is getattr(base, name, None)), None)
 
 
-def fail_at_class(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
-    """FileError at a class of a user's file, or at a name in its body.
+def user_class_error(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
+    """FileError, with the line, at a class of a user's file or at a name in its body.
 
     With the line.
     """
@@ -232,7 +232,7 @@ class UserSensorReader(SensorReader):
         """Raises FileError or RigError where the program cannot be used."""
         kind, path = load_user_class(stated.port, UserSensors, GROUP, "sensors")
         if kind.read is UserSensors.read:
-            raise fail_at_class(path, kind, "lacks read, which returns {channel: value}")
+            raise user_class_error(path, kind, "lacks read, which returns {channel: value}")
         self._stated, self._path, self._owner = stated, path, kind.__name__
         self._user = guard_call(kind, path, RigError, self._owner)(stated.channels)
 

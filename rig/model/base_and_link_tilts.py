@@ -173,8 +173,10 @@ def gravity_at_exposures(
     return logged_gravity(channel) if has_gravity(known) else np.broadcast_to(gravity, (count, 3))
 
 
-def times_between_small_tilt_steps(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
-    """Times (m,) s between which tilts turn little.
+def times_resampled_for_small_tilt_steps(
+    t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]
+) -> Floats:
+    """Log times (m,) s, with more inserted so that no tilt turns by more than LARGEST_TURN from one to the next.
 
     Of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
     t : (n,) s; channels : {name: (n,) values}, linear between rows

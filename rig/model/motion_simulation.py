@@ -15,7 +15,7 @@ from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms import hexapod, mechanism_chain, redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,
@@ -240,7 +240,7 @@ def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: 
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
-    """Whether a camera of the design has a rolling shutter.
+    """Whether a camera has a rolling shutter, stated in the design or by an effect.
 
     Stated or by an effect, so that velocities matter.
     """

@@ -234,14 +234,14 @@ def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
     return out
 
 
-def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, which: Integers) -> Floats:
+def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, parameter_indices: Integers) -> Floats:
     """Columns (n, axes, k) of the axes' change with parameters.
 
-    Those of an index `which` (k,), in their units.
+    Those of `parameter_indices` (k,), in their units.
     """
-    out = np.empty((len(poses), len(file.axes), len(which)))
+    out = np.empty((len(poses), len(file.axes), len(parameter_indices)))
     tolerances = file.tolerances
-    for k, j in enumerate(which.tolist()):
+    for k, j in enumerate(parameter_indices.tolist()):
 
         def moved(s: float | complex, j: int = j) -> Floats:
             q = p.astype(type(s) if isinstance(s, complex) else float)
@@ -280,7 +280,7 @@ def _turn(axis: int, angle: float | complex) -> Floats:
 
 
 def stated_kinematics(source: str, name: str) -> KinematicsFile:
-    """KinematicsFile of a source text.
+    """KinematicsFile of a source text, run, its statements checked but its functions not yet called.
 
     What it states is checked, but its functions are not yet called.
     name : of its file, in errors. Raises FileError with the line of what is wrong

@@ -141,7 +141,7 @@ def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
 
 
 def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL) -> Floats:
-    """Simplex configurations (n, axes) that fill the configuration space.
+    """Configurations (n, axes) at the centre, the axis ends and half of the corners of the strokes, in shells.
 
     Centre, axis ends, corners.
     strokes : (axes, 2) m or rad axes' ends and the corners of a half fraction of the cube, which together split it

@@ -137,7 +137,7 @@ def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def weakest_force_and_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
-    """Weakest force direction.
+    """Greatest force, N, exertable in every direction, and the direction (3,) in which no more is.
 
     Returns (force N exertable in every direction, (3,) direction of no more)
     """

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
@@ -27,7 +27,7 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
 from rig.posture.null_space_search import SearchResult
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
 SEED = 0

@@ -12,7 +12,7 @@ from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import require_one_hand
+from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
@@ -30,7 +30,7 @@ from rig.posture.wrench_estimation_from_torques import (
     observe_wrench,
 )
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, write_table
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 SETTLED = 0.1  # of a record, after which figures are given: a filter begins with knowing nothing
 

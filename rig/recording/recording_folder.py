@@ -21,14 +21,14 @@ from rig.model.base_and_link_tilts import (
     BaseTilt,
     gravity_channels,
     has_gravity,
-    times_between_small_tilt_steps,
+    times_resampled_for_small_tilt_steps,
 )
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS, Exposures, UnreadableImage, load_exposures
 from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses
-from rig.report.verdict_and_display import OneLineRepr, result_html
+from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
@@ -251,7 +251,7 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
             f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
             "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)
         )
-    t = times_between_small_tilt_steps(sensors.t, tilts, sensors.channels)
+    t = times_resampled_for_small_tilt_steps(sensors.t, tilts, sensors.channels)
     channels: dict[str, Floats] = {
         name: np.asarray(np.interp(t, sensors.t, values)) for name, values in sensors.channels.items()
     }

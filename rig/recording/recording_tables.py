@@ -19,7 +19,7 @@ from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, read_csv_table
 from rig.formats.output_files import write_text
 from rig.model.design import Design, Instrument
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
 from rig.recording.exposures_and_image_files import Exposures
 
@@ -363,10 +363,10 @@ def write_poses(path: Path, poses: Poses, hands: tuple[str, ...] = ()) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def write_instrument_poses(path: Path, poses: Poses, design: Design, alone: bool = False) -> None:
-    """Write a poses.csv as the instrument of a design measures. alone : whether positions without rotations"""
+def write_instrument_poses(path: Path, poses: Poses, design: Design, positions_only: bool = False) -> None:
+    """Write a poses.csv as the instrument of a design measures. positions_only : whether positions without rotations"""
     kind = "pose" if design.instrument is None else design.instrument.kind
-    if kind == "pose" and not alone:
+    if kind == "pose" and not positions_only:
         write_poses(path, poses, hand_names(design.mechanism))
         return
     T = poses.T_base_platform

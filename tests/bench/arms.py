@@ -54,7 +54,7 @@ def _forward():
 def _closed_forms():
     rng = np.random.default_rng(2)
     for name, arm in ARMS.items():
-        six = closed_form_and_numerical_arm_inverse.six_joint_arm(arm)
+        six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(arm)
         q = near_singular(rng.uniform(-np.pi, np.pi, (100_000, 6)), rng)
         closure, missed, found = check(six, q)
         yield (

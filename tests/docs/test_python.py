@@ -15,7 +15,7 @@ import rig
 import synthetic
 import vision
 from rig.errors import FileError
-from rig.report.verdict_and_display import result_html
+from rig.report.verdict_refutations_and_result_display import result_html
 from tests.docs.document_commands import ROOT
 
 PACKAGES = (rig, synthetic, vision, calib)

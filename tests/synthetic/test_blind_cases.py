@@ -17,7 +17,7 @@ from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import FileError
-from rig.model import hands_places_and_tolerances, motion_simulation
+from rig.model import hands_effect_places_and_tolerances, motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import (
@@ -25,7 +25,7 @@ from synthetic import (
     diagnosis_score,
     recording_simulation,
     secret_machine_and_truth_file,
-    unlisted_physics,
+    unlisted_effects_and_corner_noise,
 )
 
 
@@ -71,12 +71,12 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
         )
 
 
-@pytest.mark.parametrize("kind", unlisted_physics.OUT_OF_CATALOGUE, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", unlisted_effects_and_corner_noise.OUT_OF_CATALOGUE, ids=lambda kind: kind.name)
 def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_catalogue(kind, design, monkeypatch):
-    monkeypatch.setattr(unlisted_physics, "OUT_OF_CATALOGUE", (kind,))
+    monkeypatch.setattr(unlisted_effects_and_corner_noise, "OUT_OF_CATALOGUE", (kind,))
     rng = np.random.default_rng(2)
     route = plan.build_plan(design, "moving:8,sobol:8", 1)
-    foreign = unlisted_physics.draw_unlisted_effect(design, route.t[-1], rng)
+    foreign = unlisted_effects_and_corner_noise.draw_unlisted_effect(design, route.t[-1], rng)
     assert foreign.name == kind.name and kind.name not in BY_NAME
     secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (foreign,))
     bent = recording_simulation.simulate_world(secret, route, np.random.default_rng(5))
@@ -90,7 +90,9 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
     assert 1e-4 < np.sqrt(np.mean(moved**2)) < 20
 
 
-@pytest.mark.parametrize("disturb", unlisted_physics.DISTURBANCES, ids=lambda disturb: disturb.__name__)
+@pytest.mark.parametrize(
+    "disturb", unlisted_effects_and_corner_noise.DISTURBANCES, ids=lambda disturb: disturb.__name__
+)
 def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     rng = np.random.default_rng(3)
     done = recording_simulation.simulate_world(
@@ -412,10 +414,10 @@ def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance()
         assert blind_cases.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
         assert (
             printed.name == "printing"
-            and np.std(printed.offsets) < hands_places_and_tolerances.PLACES.sigma * 1.3
+            and np.std(printed.offsets) < hands_effect_places_and_tolerances.PLACES.sigma * 1.3
             and np.any(printed.offsets)
         )
-        assert np.abs(printed.scales).max() < 6 * hands_places_and_tolerances.SIDES.sigma
+        assert np.abs(printed.scales).max() < 6 * hands_effect_places_and_tolerances.SIDES.sigma
         assert 0.0005 < t.noise < 0.05 and len(blind_cases.simulated_corners(t).frame) > 40
 
 

@@ -11,8 +11,8 @@ import pytest
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
-from synthetic import cube_nets_rulers_and_assembly_page, print_sheets
-from synthetic.cube_nets_rulers_and_assembly_page import (
+from synthetic import cube_nets_stl_rulers_and_assembly_page, print_sheets
+from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     FRAMES,
     NET,
     PARTITIONS,
@@ -122,7 +122,7 @@ def test_bodies_are_smaller_by_the_paper(two_cubes):
 
     design = design_from_rig_toml.load_design(two_cubes)
     body = trimesh.load_mesh(
-        io.BytesIO(cube_nets_rulers_and_assembly_page.cube_stl_files(design, 2e-4)["P1"]), file_type="stl"
+        io.BytesIO(cube_nets_stl_rulers_and_assembly_page.cube_stl_files(design, 2e-4)["P1"]), file_type="stl"
     )
     np.testing.assert_allclose(body.extents, (design.targets[0].edge - 4e-4) * 1e3, rtol=1e-6)
     assert body.is_watertight

@@ -19,7 +19,7 @@ from vision.api import focal_length_alarms, measure
 from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
 from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
-from vision.checks.image_sample_corners_and_dictionary_mistakes import few_image_corners
+from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_few_images
 from vision.checks.mistake_search_by_trial_corrections import (
     find_corner_mistakes,
     misplaced_or_exchanged_camera_sentences,
@@ -29,7 +29,7 @@ from vision.corner_observations import observations_from_corners
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
-from vision.recording_measurement import measure_with_stated_or_free_places
+from vision.recording_measurement import measure_with_stated_or_free_markers
 
 NOISE = 0.05  # px
 KINDS = {  # as drawn_block takes them
@@ -44,7 +44,7 @@ KINDS = {  # as drawn_block takes them
 def measured(block: Block, places: str = "free") -> Measurement:
     frames, markers = np.arange(len(block.poses)), marker_map(block.stated, RigidTransform.identity())
     observed = observations_from_corners(block.corners, frames, block.stated, markers)
-    return measure_with_stated_or_free_places(
+    return measure_with_stated_or_free_markers(
         observed, block.stated, markers, ("poses", "lenses"), None, frames * 1.0, places
     )
 
@@ -196,7 +196,7 @@ def test_a_recording_that_states_no_places_is_checked(tmp_path):
     rows = ["frame,t,camera,image", "0,0,a,a/0.png", "1,1,b,b/1.png"]
     (tmp_path / "rec" / "frames.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "rec" / "corners.csv").unlink()
-    assert few_image_corners(load(tmp_path / "rec")) is None
+    assert corners_of_few_images(load(tmp_path / "rec")) is None
 
 
 def test_a_tag_that_is_never_seen_together_with_others_is_named(tmp_path):

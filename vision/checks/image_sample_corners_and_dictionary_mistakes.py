@@ -39,7 +39,7 @@ def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | N
     return corners, found if corners is None else found + list(_against(recording.corners, corners))
 
 
-def few_image_corners(recording: Recording) -> Corners | None:
+def corners_of_few_images(recording: Recording) -> Corners | None:
     """Corners read from the images of a few frames, None where there are none."""
     return _corners(_sights(recording, marker_map(recording.design, RigidTransform.identity()), FEW)[0])
 

@@ -244,7 +244,7 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
         makers = [
             conventions.all_camera_corner_corrections,
             cameras.exchanged_camera_trials,
-            targets.exchanged_target_trials,
+            targets.exchanged_or_moved_target_trials,
             conventions.alternative_lens_trials,
             conventions.corner_correction_candidates_by_camera,
             *([cameras.alternative_camera_pose_trials] if stated else []),
@@ -252,7 +252,7 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     wrong = targets.targets_with_misfitting_corners(first) if first.misfit > GROSS else []
     ones: list[Maker] = [partial(targets.turned_face_trials, name=name) for name in wrong]
     ones += [
-        partial(targets.exchanged_target_trials, names=wrong),
+        partial(targets.exchanged_or_moved_target_trials, names=wrong),
         *(
             partial(kind, name=name)
             for kind in (targets.exchanged_face_trials, targets.single_target_trials)

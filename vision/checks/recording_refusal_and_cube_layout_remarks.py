@@ -59,8 +59,10 @@ def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Noti
         refuse_mistakes(dictionary_and_identity_mistakes(recording), allow_mistakes, notice)
 
 
-def make_spoilt_corner_refusal(recording: Recording, allow_mistakes: bool, notice: Notice) -> Callable[[Corners], None]:
-    """Make the function that refuses spoilt corners.
+def make_corner_mistake_refusal(
+    recording: Recording, allow_mistakes: bool, notice: Notice
+) -> Callable[[Corners], None]:
+    """Make the function that refuses a recording whose corners, once read, show mistakes.
 
     A recording is refused whose corners, once read, are spoilt by mistakes.
 

@@ -119,22 +119,24 @@ def _resized(target: Target, factor: float) -> Target:
     return replace(target, marker=target.marker * factor)
 
 
-def size_ratio_text(share: float, target: Target | None) -> str:
+def size_ratio_text(size_ratio: float, target: Target | None) -> str:
     """Text of a ratio of true to stated marker size."""
     off = (
-        f"the markers are printed {abs(share - 1):.1%} {'larger' if share > 1 else 'smaller'} than rig.toml "
+        f"the markers are printed {abs(size_ratio - 1):.1%} {'larger' if size_ratio > 1 else 'smaller'} than rig.toml "
         "states (scale of print)"
     )
     if target is None:
         return off
     edge, side = target.edge or 0.0, target.marker or 0.0
     for what, ratio in _named(target).items() if not edge or side < 0.99 * edge else ():
-        if abs(share / ratio - 1) < max(NAMED, 0.15 * abs(ratio - 1)) and abs(ratio - 1) > 2 * PRINTED:
-            return f"marker side: {what}: the markers are {share:.3f} times what rig.toml states"
-    if edge and abs(side / edge - 1) < 0.01 and share < 0.97:
-        return f"marker side: the cubes' edge is stated as the markers' side: the markers are {share:.3f} times that"
+        if abs(size_ratio / ratio - 1) < max(NAMED, 0.15 * abs(ratio - 1)) and abs(ratio - 1) > 2 * PRINTED:
+            return f"marker side: {what}: the markers are {size_ratio:.3f} times what rig.toml states"
+    if edge and abs(side / edge - 1) < 0.01 and size_ratio < 0.97:
+        return (
+            f"marker side: the cubes' edge is stated as the markers' side: the markers are {size_ratio:.3f} times that"
+        )
     for unit, ratio in (("inches", 0.0254), ("centimetres", 0.01), ("millimetres", 0.001)):
-        if abs(share / ratio - 1) < 0.05:
+        if abs(size_ratio / ratio - 1) < 0.05:
             return f"marker sides are in {unit}"
     return off
 
@@ -149,7 +151,7 @@ def best_size_ratio(
     return ratio * (1 + by * float(np.clip((squares[0] - squares[2]) / (2 * bend), -4, 4))) if bend > 0 else ratio
 
 
-def exchanged_target_trials(sample: SampledRecording, names: list[str] | None = None) -> Iterator[Candidate]:
+def exchanged_or_moved_target_trials(sample: SampledRecording, names: list[str] | None = None) -> Iterator[Candidate]:
     """Trials with targets exchanged, or moved to the other body.
     Of all targets, bodies and poses too. names : those meant, all by default
     """

@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Singles
+from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
-from vision.corners.kernels_and_predicted_cell import (
+from vision.corners.numba_kernels_and_cell_white_share import (
     Tables,
     cholesky_factor,
     cholesky_solve,
@@ -24,7 +25,6 @@ from vision.corners.kernels_and_predicted_cell import (
     inlined_kernel,
     kernel,
 )
-from vision.corners.predicted_strip_white_share import ROWS, STRIP
 from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count

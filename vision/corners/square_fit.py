@@ -6,8 +6,8 @@ The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): 
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How
 brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
 one learnt from the images (vision/corners/edge_spread_function.py), one for each direction of edges. Where two edges
-meet, their product is corrected by a bivariate normal's correlated part (vision/corners/kernels_and_predicted_cell.py),
-because a marker's axes are seldom square in the image.
+meet, their product is corrected by a bivariate normal's correlated part
+(vision/corners/numba_kernels_and_cell_white_share.py), because a marker's axes are seldom square in the image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
@@ -17,8 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
+from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
-from vision.corners.kernels_and_predicted_cell import (
+from vision.corners.local_lens_and_fit_start import (
+    corners_to_image,
+    fit_quad_sides_in_place,
+    misread_cell_count,
+    square_homography,
+)
+from vision.corners.numba_kernels_and_cell_white_share import (
     STEPS,
     Tables,
     cholesky_factor,
@@ -27,12 +34,6 @@ from vision.corners.kernels_and_predicted_cell import (
     inlined_kernel,
     kernel,
     order_statistic,
-)
-from vision.corners.local_lens_and_fit_start import (
-    corners_to_image,
-    fit_quad_sides_in_place,
-    misread_cell_count,
-    square_homography,
 )
 from vision.corners.occlusion_and_illumination_in_square_fit import (
     TERMS,
@@ -44,7 +45,6 @@ from vision.corners.occlusion_and_illumination_in_square_fit import (
     find_occluded_cells,
     remove_occluded_pixels,
 )
-from vision.corners.predicted_strip_white_share import ROWS, STRIP
 from vision.corners.square_gauss_newton import (
     LIGHT,
     NO_CONTRAST,

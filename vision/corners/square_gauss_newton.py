@@ -12,9 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from vision.corners.edge_pixel_white_share_and_derivatives import (
+    ROWS,
+    STRIP,
+    Seen,
+    fill_strip_white_share_and_derivatives,
+)
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.kernels_and_predicted_cell import Tables, cholesky_factor, cholesky_solve, inlined_kernel, kernel
-from vision.corners.predicted_strip_white_share import ROWS, STRIP, Seen, fill_strip_white_share_and_derivatives
+from vision.corners.numba_kernels_and_cell_white_share import (
+    Tables,
+    cholesky_factor,
+    cholesky_solve,
+    inlined_kernel,
+    kernel,
+)
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys

@@ -148,7 +148,7 @@ class Sight:
 
 
 def sight_from_measuring_limbs(frame: int, T_base_platform: RigidTransform, covariance: Floats) -> Sight:
-    """Sight of a frame from a pose measured by limbs, with covariance (6, 6), no camera involved."""
+    """Result (Sight) of a frame whose pose and covariance (6, 6) come from measuring limbs, without images."""
     return Sight(
         frame, T_base_platform, covariance, "", empty_observations(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {}
     )

@@ -139,7 +139,7 @@ def _is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:
-    """Score raised to a fit's likelihood ratio.
+    """Score with its delta chi-square raised to that of a fit's likelihood ratio, where that is greater.
 
     Its delta chi-square is raised, where the ratio is larger.
     """
@@ -177,24 +177,26 @@ def best_effect_at_several_axes(
         group = [s for s in _best_scores_at_axes(scores, name, size) if s.delta_chi2 > 0]
         if len(group) < SEVERAL:
             continue
-        sizes, gain = joint_gain(project(group), np.array([_may_be_opposite(s) for s in group]))
+        sizes, gain = joint_fit_and_explained_sum_of_squares(
+            project(group), np.array([_may_be_opposite(s) for s in group])
+        )
         worth = gain - sum(s.freedom for s, there in zip(group, sizes != 0, strict=True) if there) * np.log(size)
         if np.count_nonzero(sizes) >= SEVERAL and worth > most:
             most, found = worth, [s for s, there in zip(group, sizes != 0, strict=True) if there]
     return found
 
 
-def joint_gain(projected: Projection, signed: Booleans) -> tuple[Floats, float]:
-    """(sizes (k,) of columns that together explain most of a residual, what they explain of its sum of squares).
+def joint_fit_and_explained_sum_of_squares(projected: Projection, may_be_negative: Booleans) -> tuple[Floats, float]:
+    """Coefficients (k,) of columns fitted jointly to a residual, and the sum of squares they explain.
 
-    signed : (k,) whether a column's size may be below zero
+    may_be_negative : (k,) whether a column's size may be below zero
     """
     values, vectors = np.linalg.eigh(projected.gram)
     there = values > RANK * max(values.max(initial=0.0), 1e-300)
     root = np.sqrt(values[there])[:, None] * vectors[:, there].T
-    low = np.where(signed, -np.inf, 0.0)
+    low = np.where(may_be_negative, -np.inf, 0.0)
     sizes = lsq_linear(root, (vectors[:, there].T @ projected.right) / np.sqrt(values[there]), (low, np.inf)).x
-    sizes = np.where(~signed & (sizes < NOTHING), 0.0, sizes)
+    sizes = np.where(~may_be_negative & (sizes < NOTHING), 0.0, sizes)
     return sizes, float(2 * projected.right @ sizes - sizes @ projected.gram @ sizes)
 
 

@@ -20,7 +20,7 @@ from calib.diagnosis.engine.problem_interface import (
     Progress,
     UnfittedNodes,
 )
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
 LISTED = 3  # terms that the label of a search names

@@ -20,7 +20,7 @@ from calib.diagnosis.engine.reduced_least_squares import (
     solve_with_prior,
 )
 from rig.array_and_json_types import Floats
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
@@ -155,23 +155,24 @@ def detect_excess_scatter(
     place: Place,
     unit: str,
     noise: float,
-    square: float,
-    freedom: float,
-    tests: int = 1,
+    sum_of_squares: float,
+    degrees_of_freedom: float,
+    test_count: int = 1,
     depends_on: tuple[str, ...] = (),
 ) -> LackOfFit | None:
     """LackOfFit of excess scatter at a place, beyond chance and the stated noise.
 
     None where noise suffices.
-    noise : in unit, RMS of what is stated; square : sum of squares left, whitened by it, over `freedom` degrees of
-        freedom
-    tests : how many such are made of one recording
+    noise : in unit, RMS of what is stated; sum_of_squares : sum of squares left, whitened by it
+    test_count : how many such are made of one recording
     """
-    ratio = square / max(freedom, 1.0)
-    chance = float(scipy.special.chdtrc(max(freedom, 1.0), square))
-    if ratio <= MATERIAL**2 or chance * tests >= ALPHA:
+    ratio = sum_of_squares / max(degrees_of_freedom, 1.0)
+    chance = float(scipy.special.chdtrc(max(degrees_of_freedom, 1.0), sum_of_squares))
+    if ratio <= MATERIAL**2 or chance * test_count >= ALPHA:
         return None
-    return LackOfFit(place, float(noise * np.sqrt(ratio - 1)), unit, depends_on, chance, float(square - freedom))
+    return LackOfFit(
+        place, float(noise * np.sqrt(ratio - 1)), unit, depends_on, chance, float(sum_of_squares - degrees_of_freedom)
+    )
 
 
 @dataclass(frozen=True, slots=True)

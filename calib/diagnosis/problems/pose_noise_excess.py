@@ -101,17 +101,21 @@ def scaled_pose_covariance(covariance: Floats, factors: dict[str, Value]) -> Flo
     Of poses, positions or directions whose standard deviations are scaled by factors, those not estimated by 1.
     """
     times = np.ones(covariance.shape[-1])
-    for name, part in noise_parts(covariance.shape[-1]).items():
+    for name, part in slices_by_kind_of_noise(covariance.shape[-1]).items():
         times[part] = float(factors[name].value) if name in factors else 1.0
     return covariance * times[:, None] * times
 
 
-def noise_parts(count: int) -> dict[str, slice]:
-    """Parts of a pose's numbers by kind of noise.
+def slices_by_kind_of_noise(values_per_pose: int) -> dict[str, slice]:
+    """Slices of a pose's measured numbers by kind of noise: position and rotation, or direction.
 
     Returns {kind of noise: its part} of so many numbers measured of each pose
     """
-    return DIRECTION if count == 2 else {name: part for name, part in KINDS.items() if part.start < count}
+    return (
+        DIRECTION
+        if values_per_pose == 2
+        else {name: part for name, part in KINDS.items() if part.start < values_per_pose}
+    )
 
 
 def noise_covariance_by_kind(covariance: Floats) -> dict[str, Floats]:
@@ -120,7 +124,7 @@ def noise_covariance_by_kind(covariance: Floats) -> dict[str, Floats]:
     Returns {kind of noise: (F, k, k)} that a covariance (F, k, k) is made of, without what position and rotation share
     """
     out = {}
-    for name, part in noise_parts(covariance.shape[-1]).items():
+    for name, part in slices_by_kind_of_noise(covariance.shape[-1]).items():
         out[name] = np.zeros_like(covariance)
         out[name][:, part, part] = covariance[:, part, part]
     return out

@@ -203,7 +203,7 @@ def smooth_functions_of_axis_motion(path: Path, commands: Commands, t: Floats) -
 
 
 def separate_weights_for_each_direction(functions: Floats, count: int) -> Floats:
-    """Functions as weights separate for each direction.
+    """Design matrix (F, count, count q) in which each direction has its own coefficients of the functions.
 
     Functions (F, count or 1, q) become weights (F, count, count q), for `count` directions.
     """

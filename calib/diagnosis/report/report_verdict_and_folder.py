@@ -63,7 +63,14 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_display import Evidence, MissingEvidence, OneLineRepr, Verdict, judge_evidence, result_html
+from rig.report.verdict_refutations_and_result_display import (
+    Evidence,
+    MissingEvidence,
+    OneLineRepr,
+    Verdict,
+    judge_evidence,
+    result_html,
+)
 
 ROWS = "Examine the excluded rows below: record those configurations again"
 TAKE_IN = "Include it in the calibration: `rig calibrate REC --diagnosis DIR --out calibration.json`"

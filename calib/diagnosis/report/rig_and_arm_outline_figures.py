@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
-from calib.report.pose_and_effect_figures import closed_outline
+from calib.report.pose_and_effect_figures import closed_outline_sorted_by_angle
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.design import Camera
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
@@ -127,7 +127,7 @@ def _oblique_projection(points: Floats) -> Floats:
 
 def _hexapod(drawn: Outline, m: Hexapod, T: RigidTransform, colour: Colour) -> None:
     tops = transform_points(T, m.platform_joints)
-    for around in (np.array(closed_outline(joints)) for joints in (m.base_joints, tops)):
+    for around in (np.array(closed_outline_sorted_by_angle(joints)) for joints in (m.base_joints, tops)):
         drawn.patch(around[:-1], "plate")
         drawn.line(around, colour("rig"))
     for i in range(len(m.axes)):

@@ -20,11 +20,11 @@ from calib.correction.correction_as_c_source import (
     FIELDS,
     CCall,
     CSource,
+    append_add_remainder_c_function,
     c_file_opening,
     c_source_part,
-    commands_of_effects,
     controller_terms_of_compensable_effects,
-    define_remainder,
+    effect_compensation_c_functions,
     joined_c_parts,
 )
 from calib.correction.correction_fields_as_c_functions import CTables
@@ -191,7 +191,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
     geometry.array("RANGE", nominal.limits, shape="[RIG_AXES][2]")
     geometry.array("GAP", effects.plays, shape="[RIG_AXES]")
     profiles = [_profile(tables, one) for one in correction.remainder if one is not None]
-    settled = define_remainder(tables, correction.extension, profiles)
+    settled = append_add_remainder_c_function(tables, correction.extension, profiles)
     few = correction.deficient
     if few:
         count = hand_motion_direction_counts(nominal)
@@ -207,7 +207,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
             c_source_part("rotation vector"),
             c_source_part("arm kinematics"),
             c_source_part("arm of few joints" if few else "arm of six joints or more"),
-            *commands_of_effects(effects),
+            *effect_compensation_c_functions(effects),
             c_source_part("ranges"),
             c_source_part("arm correct"),
         ),

@@ -22,7 +22,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistak
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
 from rig.model.design import Instrument
-from rig.model.hands_places_and_tolerances import hand_names
+from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links

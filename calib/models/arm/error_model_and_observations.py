@@ -90,7 +90,7 @@ def predicted_target_poses(q: Floats, arm: Arm, hand: Integers | None = None) ->
 
 def joint_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
     """Joint Jacobian (..., 6, n): change of the target's pose (m, rad) with joint values q (..., n). hand : as there"""
-    return mechanism.of_each_hand(mechanism.jacobian, q, arm, hand)
+    return mechanism.evaluate_with_hand_of_each_row(mechanism.jacobian, q, arm, hand)
 
 
 def parameter_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
@@ -99,7 +99,7 @@ def parameter_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Flo
     q : (..., n) rad or m; hand : as there. At the tool the columns are the identity; all others are axis x lever over
         axis, seen in the target.
     """
-    return mechanism.of_each_hand(_parameter_jacobian, q, arm, hand)
+    return mechanism.evaluate_with_hand_of_each_row(_parameter_jacobian, q, arm, hand)
 
 
 def _parameter_jacobian(q: Floats, arm: Arm) -> Floats:
@@ -327,14 +327,14 @@ class Rank:
         return lines
 
 
-def parameter_rank(B: Floats, free: Booleans, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
-    """Rank of the parameter columns B (rows, p), whitened, of the requested parameters: free (p,) bool.
+def parameter_rank(whitened_columns: Floats, free: Booleans, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
+    """Rank of the parameter columns (rows, p), whitened, of the requested parameters: free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a
     plain zero of the pivoted QR, but also a direction in which only rounding or noise would be fitted.
     """
     requested = np.flatnonzero(free)
-    scaled = B[:, requested] * np.array([PLAUSIBLE[unit] for unit in units])[requested]
+    scaled = whitened_columns[:, requested] * np.array([PLAUSIBLE[unit] for unit in units])[requested]
     dead = np.linalg.norm(scaled, axis=0) < 1
     live = requested[~dead]
     R, order = qr(scaled[:, ~dead], mode="r", pivoting=True)

@@ -71,9 +71,9 @@ from rig.planning.configuration_generators import FILL, sobol_configurations
 PLACES_HELD = 256  # at which a single step is held against the fixed point, and what is promised is worked out
 
 
-def joint_correction_field_samples(samples: Samples, arm: Arm, shared: Floats) -> FieldSamples:
+def joint_correction_field_samples(samples: Samples, arm: Arm, common_error_draw: Floats) -> FieldSamples:
     """Samples for a field of joint correction summands, rad or m, common errors removed."""
-    found = commanded_minus_joint_values_of_measured_poses(samples, arm, shared)
+    found = commanded_minus_joint_values_of_measured_poses(samples, arm, common_error_draw)
     return FieldSamples(
         samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel_ranges(arm)
     )
@@ -91,17 +91,19 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
     return commanded_minus_joint_values_of_measured_poses(whole, placed_arm, np.zeros(0))
 
 
-def commanded_minus_joint_values_of_measured_poses(samples: Samples, arm: Arm, shared: Floats) -> CorrectionSummands:
+def commanded_minus_joint_values_of_measured_poses(
+    samples: Samples, arm: Arm, common_error_draw: Floats
+) -> CorrectionSummands:
     """Commanded minus joint values of measured poses (CorrectionSummands).
 
     The nearest joint values that give the poses, rad or m.
 
     They are the joint correction summands.
-    arm : the model; shared : (j,) draw of the poses' common errors, taken out
+    arm : the model; common_error_draw : (j,) draw of the poses' common errors, taken out
     Raises RigError as `summands_by_nearest_axis_values`
     """
     o = sample_observations(samples)
-    away = np.einsum("mkj,j->mk", o.common, shared)
+    away = np.einsum("mkj,j->mk", o.common, common_error_draw)
 
     def model(q: Floats) -> tuple[Floats, Floats]:
         now = replace(o, q=q)

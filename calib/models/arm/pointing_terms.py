@@ -19,7 +19,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
 from rig.array_and_json_types import Floats, Json
-from rig.effects.catalogue.effect_list import deflection_under_link_weight, link_weight_moments
+from rig.effects.catalogue.effect_list import deflection_under_link_weight, mass_moments_over_stiffness
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Design
@@ -104,7 +104,7 @@ def mount_kind(arm: Arm) -> str | None:
     return "altazimuth" if abs(axis @ ZENITH) > UPRIGHT else "equatorial"
 
 
-def tube_flexure(arm: Arm) -> tuple[Effect, ...]:
+def tube_flexure_effect(arm: Arm) -> tuple[Effect, ...]:
     """The effect by which the tube of an altazimuth mount sinks at its second joint.
 
     None of other arms.
@@ -120,11 +120,11 @@ def tube_flexure(arm: Arm) -> tuple[Effect, ...]:
     return (deflection_under_link_weight("joint 2", tuple(moments.tolist())),)
 
 
-def pointing_terms(design: Design, calibration: Calibration, visited: Floats) -> PointingTerms | None:
+def pointing_terms(design: Design, calibration: Calibration, commanded: Floats) -> PointingTerms | None:
     """PointingTerms of a mount as calibrated against that stated.
 
     None for an arm that is none.
-    design : whose mechanism is the arm as stated; visited : (n, 2) rad, commands
+    design : whose mechanism is the arm as stated; commanded : (n, 2) rad, commands
     """
     stated, fitted = require_arm(design.mechanism), calibration.correction.fitted
     physics = calibration.physics
@@ -135,15 +135,15 @@ def pointing_terms(design: Design, calibration: Calibration, visited: Floats) ->
             if _is_flexure(effect, stated):
                 flexure = (float(c.read(effect)), float(physics.own[k, k]))
     assert isinstance(fitted, Arm)
-    return pointing_terms_of_parameters(stated, fitted, calibration.covariance, visited, design.gravity, flexure)
+    return pointing_terms_of_parameters(stated, fitted, calibration.covariance, commanded, design.gravity, flexure)
 
 
 def _is_flexure(effect: Effect, arm: Arm) -> bool:
     """Whether an effect is the flexure of an Arm's tube, and nothing more."""
-    own, moments = tube_flexure(arm), link_weight_moments(effect)
+    own, moments = tube_flexure_effect(arm), mass_moments_over_stiffness(effect)
     if not own or not moments or effect.place != own[0].place:
         return False
-    return [bool(value) for value in moments] == [bool(value) for value in link_weight_moments(own[0])]
+    return [bool(value) for value in moments] == [bool(value) for value in mass_moments_over_stiffness(own[0])]
 
 
 def pointing_terms_of_parameters(
@@ -152,9 +152,8 @@ def pointing_terms_of_parameters(
     """PointingTerms of a mount as fitted against that stated.
 
     None for an arm that is none or has other errors.
-    stated, fitted : Arm; covariance : (p, p) of its parameters; visited : (n, 2) rad, commands; gravity : (3,) m/s^2
-    flexure : (the mass moment over the stiffness of `tube_flexure`, rad per m/s^2, its variance), or None where it was
-        not fitted
+    stated, fitted : Arm; covariance : (p, p) of its parameters; commanded : (n, 2) rad; gravity : (3,) m/s^2
+    flexure : (mass moment over stiffness of `tube_flexure_effect`, rad per m/s^2, its variance), None where not fitted
     """
     mount = mount_kind(stated)
     if mount is None:
@@ -172,7 +171,7 @@ def pointing_terms_of_parameters(
     values, spread = back @ _step(stated, fitted)[free], back @ covariance[np.ix_(free, free)] @ back.T
     sigma, lines = np.sqrt(np.diag(spread)), [ALIKE[mount]]
     if flexure is not None:
-        moments = np.array(link_weight_moments(tube_flexure(stated)[0])) / START
+        moments = np.array(mass_moments_over_stiffness(tube_flexure_effect(stated)[0])) / START
         loads = mechanism.link_weight_loads(mechanism.forward(visited, stated), visited, stated, gravity)
         joints = _moved(error_model_and_observations.joint_jacobian(visited, stated), visited, stated)[:, 1]
         sunk = -joints * np.repeat(loads[:, 1] @ moments, 3)

@@ -120,10 +120,10 @@ def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
     return np.stack([z * (np.arange(len(arm.joints)) < sensor.link) for sensor in readings.sensors], axis=1)
 
 
-def planned_tilt_columns(
+def planned_tilt_jacobian(
     sensors: tuple[TiltSensor, ...], gravity: Floats, q: Floats, arm: Arm, pose_jacobian: Floats
 ) -> Floats:
-    """Columns of tilts that sensors would show at planned joint values.
+    """Jacobian of tilts at planned joint values with the arm's parameters and the sensors' mounting.
 
     Columns (n, 2 s, p + 3 + 3 s) at q (n, joints): the change of the angles with an arm's parameters and with how the
     sensors are mounted; 0 where an angle would not be used.

@@ -95,7 +95,7 @@ def _moved(stage: Stage, step: Floats) -> Stage:
 
 
 def stage_parameter_change_by_base_motion(stage: Stage) -> Floats:
-    """Change of a stage's parameters by base motion.
+    """Columns (p, 6 or 3): change of a stage's parameters by motion of its base frame.
 
     Columns (p, 6 or 3).
 

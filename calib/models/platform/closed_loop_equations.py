@@ -297,8 +297,10 @@ def _poses_of_lengths(samples: Samples, lengths: Floats, mechanism: Parallel) ->
         ) from None
 
 
-def linearised_freedom_equations(samples: Samples, lengths: Floats, mechanism: Parallel, scatter: Floats) -> Linear:
-    """Linearised equations (Linear) of the measured poses at a geometry, in the mechanism's freedoms.
+def linearised_pose_coordinate_equations(
+    samples: Samples, lengths: Floats, mechanism: Parallel, scatter: Floats
+) -> Linear:
+    """Linearised equations (Linear) of measured poses in the pose coordinates that the mechanism moves.
 
     samples : Samples, in these freedoms alone; lengths : (n, axes) m or rad, commanded; scatter : (axes,) of each axis
     beyond the poses' own

@@ -84,7 +84,7 @@ def identify_platform(
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
-    require_agreeing_lengths(nominal)
+    refuse_redundancy_without_followers(nominal)
     lengths = samples.effective - (0 if strut_deviations is None else strut_deviations)
     p = geometric_parameters(nominal if similar_fit is None else similar_fit.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
@@ -169,7 +169,7 @@ class Loops:
                 self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
             )
         if not isinstance(self.nominal, Hexapod):
-            return closed_loop_equations.linearised_freedom_equations(
+            return closed_loop_equations.linearised_pose_coordinate_equations(
                 self.samples, self.lengths, mechanism_with_parameters(self.nominal, p), scatter
             )
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
@@ -275,7 +275,7 @@ def _scatter(left: Floats, S: Floats, inliers: Booleans, spent: int) -> Floats:
     )
 
 
-def require_agreeing_lengths(mechanism: Parallel) -> None:
+def refuse_redundancy_without_followers(mechanism: Parallel) -> None:
     """Raise RigError for a platform of more than six struts all of which are driven: poses say too little of it."""
     if is_redundant(mechanism) and not mechanism.followers:
         raise RigError(

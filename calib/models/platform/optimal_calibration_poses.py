@@ -80,12 +80,12 @@ def choose_d_optimal_configurations(
         )
     candidates, G = _candidates(hexapod, sigmas, seed, exclusion)
     known = (
-        closing_commands_and_whitened_parameter_rows(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
+        solvable_commands_and_whitened_jacobians(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
         if len(existing_configurations)
         else np.zeros((0, 42))
     )
     picked = choose_configurations_by_exchange(G, known.T @ known, count, criterion, progress)
-    even = closing_commands_and_whitened_parameter_rows(
+    even = solvable_commands_and_whitened_jacobians(
         configuration_generators.sobol_configurations(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas
     )[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
@@ -123,10 +123,10 @@ def choose_configurations_by_exchange(
     return picked
 
 
-def closing_commands_and_whitened_parameter_rows(
+def solvable_commands_and_whitened_jacobians(
     commands: Floats, hexapod: Hexapod, sigmas: tuple[float, float]
 ) -> tuple[Floats, Floats]:
-    """Commands (n, 6) m that close on a pose, and whitened parameter rows.
+    """Commands (n, 6) m whose forward kinematics converges, and their whitened parameter Jacobians (n, 6, 42).
 
     Rows (n, 6, 42) of their parameters.
 
@@ -148,8 +148,8 @@ def _candidates(
 ) -> tuple[Floats, Floats]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = configuration_generators.sobol_configurations(hexapod.strut_range, CANDIDATES, FILL, seed)
-    return closing_commands_and_whitened_parameter_rows(
-        allowed_configurations(
+    return solvable_commands_and_whitened_jacobians(
+        configurations_outside_exclusion(
             np.concatenate([spread, configuration_generators.simplex_configurations(hexapod.strut_range, 1, FILL)]),
             avoided,
         ),
@@ -158,8 +158,8 @@ def _candidates(
     )
 
 
-def allowed_configurations(commands: Floats, exclusion: ConfigurationExclusion | None) -> Floats:
-    """Configurations among the commands (n, 6) m that are allowed.
+def configurations_outside_exclusion(commands: Floats, exclusion: ConfigurationExclusion | None) -> Floats:
+    """Configurations among the commands (n, 6) m that the exclusion does not exclude.
 
     Raises RigError where none is.
     """
@@ -237,19 +237,17 @@ def fewest_configurations(
     Raises RigError where MOST poses do not keep it, or where none may be visited
     """
     spread = configuration_generators.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
-    candidates, G = closing_commands_and_whitened_parameter_rows(
-        allowed_configurations(spread, exclusion), hexapod, sigmas
+    candidates, G = solvable_commands_and_whitened_jacobians(
+        configurations_outside_exclusion(spread, exclusion), hexapod, sigmas
     )
-    places, _ = closing_commands_and_whitened_parameter_rows(
+    places, _ = solvable_commands_and_whitened_jacobians(
         configuration_generators.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
     )
     J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)
     covariance: Floats = np.eye(42)  # of the parameters, each in its plausible size
     if existing_configurations is not None and len(existing_configurations):
-        known = closing_commands_and_whitened_parameter_rows(existing_configurations, hexapod, sigmas)[1].reshape(
-            -1, 42
-        )
+        known = solvable_commands_and_whitened_jacobians(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
         covariance = cast(Floats, np.linalg.inv(np.eye(42) + known.T @ known))
     chosen: list[int] = []
     left = [_left(covariance, A, seed)]

@@ -101,8 +101,8 @@ def notice_printer(progress: Progress) -> Callable[[str], None]:
     return notice
 
 
-def add_earlier_option(parser: ArgumentParser, name: str, dest: str, read: Callable[[str], object]) -> None:
-    """Add an option under its earlier name, which help does not list.
+def add_deprecated_option_name(parser: ArgumentParser, name: str, dest: str, read: Callable[[str], object]) -> None:
+    """Add the former name of an option, hidden from the help, with the same destination.
 
     dest : of the option; read : parses its value
     """
@@ -128,7 +128,7 @@ def add_limb_options(parser: ArgumentParser) -> None:
         metavar="N",
         help=f"with --limbs: vision measures every Nth pose at least (default {CHECK_EVERY})",
     )
-    add_earlier_option(parser, "--check", "check", parse_whole_number)
+    add_deprecated_option_name(parser, "--check", "check", parse_whole_number)
 
 
 def limb_source(arguments: Namespace) -> LimbSource | None:

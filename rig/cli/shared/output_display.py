@@ -22,7 +22,7 @@ from rig.formats.output_files.staged_folder_and_manifest import file_digest
 
 if TYPE_CHECKING:
     from calib.certification.held_out_errors import HeldOut
-    from rig.report.verdict_and_display import Refutation, State
+    from rig.report.verdict_refutations_and_result_display import Refutation, State
     from vision.recording_adjustment import Measurement
 
 
@@ -258,7 +258,7 @@ def read_and_print_refutations(path: Path) -> tuple[Refutation, ...]:
 
     Raises FileError for an invalid list.
     """
-    from rig.report.verdict_and_display import refutations_of_file
+    from rig.report.verdict_refutations_and_result_display import refutations_of_file
 
     found = refutations_of_file(path)
     print_refutations(path, found)
@@ -283,7 +283,7 @@ def write_refutation(
 
     finding : a sentence without its full stop; state : BAD (None), or CHECK where it leaves something out
     """
-    from rig.report.verdict_and_display import NAME, Refutation, State, add_refutation
+    from rig.report.verdict_refutations_and_result_display import NAME, Refutation, State, add_refutation
 
     state = State.BAD if state is None else state
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from rig.array_and_json_types import Pixels
 from rig.driving.clock import Clock
-from rig.driving.user_classes_and_sensor_reader import fail_at_class, guard_call, load_user_class
+from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, user_class_error
 from rig.errors import FileError, RigError
 from rig.model.design import Camera
 from rig.recording.exposures_and_image_files import decode_image
@@ -288,7 +288,7 @@ class UserSource:
         """Raises FileError or RigError where its program cannot be used."""
         kind, path = load_user_class(str(camera.source), UserCamera, GROUP, "camera")
         if kind.grab is UserCamera.grab:
-            raise fail_at_class(path, kind, "lacks grab, which returns an image")
+            raise user_class_error(path, kind, "lacks grab, which returns an image")
         self.name, self.can_set_exposure, self._camera, self._clock = camera.name, kind.can_set_exposure, camera, clock
         self._owner, self._path = kind, path
         self._user = self._guarded(kind)(camera)

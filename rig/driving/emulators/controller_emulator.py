@@ -18,7 +18,7 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
 from rig.driving.protocols.protocol_bases import LineProtocol
 from rig.driving.protocols.protocol_selection_and_user_protocols import GROUP
-from rig.driving.user_classes_and_sensor_reader import fail_at_class, guard_call, load_user_class
+from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, user_class_error
 from rig.errors import FileError, LinkLost, RigError
 
 UNPLUGGED = 0.7  # s that the line is cut
@@ -353,7 +353,7 @@ def load_user_emulator(stated: str) -> type[LineEmulator]:
     kind, path = load_user_class(stated, LineEmulator, GROUP, "emulator")
     for name in ("protocol", "answer"):
         if getattr(kind, name, None) is getattr(LineEmulator, name, None):
-            raise fail_at_class(path, kind, f"lacks {name}")
+            raise user_class_error(path, kind, f"lacks {name}")
     if "_guarded" not in vars(kind):
         for name in ("answer", "encode", "at_once", "line", "greet"):
             if name in vars(kind):

@@ -23,7 +23,7 @@ from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.own_strut_protocol import Struts
-from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_numbers
 from rig.formats.rig_toml import design_from_rig_toml
@@ -70,7 +70,7 @@ def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulato
     design = design_from_rig_toml.load_design(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller]; an emulator needs its speeds and zeros")
-    require_own_rig_toml(path, design)
+    refuse_programs_of_untrusted_rig_toml(path, design)
     if options.protocol:
         design = replace(design, controller=replace(design.controller, protocol=options.protocol))
     faults = Faults(sum((parse_faults(text) for text in options.faults), ()), np.random.default_rng(options.seed))

@@ -22,7 +22,7 @@ from rig.driving.emulators.fault_trials import (
     times_executed,
 )
 from rig.driving.move_profiles_and_path_check import straight_move_segment
-from rig.driving.user_classes_and_sensor_reader import require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries, load_design
@@ -84,7 +84,7 @@ def conformance_design(path: Path | None) -> Design:
         text = new_rig_toml(LayoutOptions(radius=RADIUS))
         return design_of_entries(toml_entries(text, Path("hexapod.toml")))
     design = load_design(path)
-    require_own_rig_toml(path, design)
+    refuse_programs_of_untrusted_rig_toml(path, design)
     design.driver()
     return design
 

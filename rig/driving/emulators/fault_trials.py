@@ -90,7 +90,7 @@ class MoveCounts:
 def emulated_bench(
     design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
 ) -> tuple[Driver, Emulator, TrialClock]:
-    """Emulated bench of a design's controller.
+    """Driver, emulator and simulated clock of a design's emulated controller.
 
     protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
 

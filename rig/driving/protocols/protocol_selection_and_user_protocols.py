@@ -15,7 +15,7 @@ from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.own_strut_protocol import Struts
 from rig.driving.protocols.protocol_bases import Dialogue, LineProtocol, Protocol, State, Verdict, state_problem
-from rig.driving.user_classes_and_sensor_reader import fail_at_class, guard_call, load_user_class, missing_member
+from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, missing_member, user_class_error
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
 from rig.model.design import Controller
@@ -79,16 +79,16 @@ def load_user_protocol(controller: Controller, count: int) -> LineProtocol:
     try:
         return kind(controller, count)
     except TypeError as error:
-        raise fail_at_class(path, kind, f"cannot be made with (controller, count): {error}", "__init__") from None
+        raise user_class_error(path, kind, f"cannot be made with (controller, count): {error}", "__init__") from None
 
 
 def _check(kind: type[LineProtocol], path: str) -> None:
     """Raise FileError for a class that lacks something, or has what no driver can use."""
     for name in TEXTS:
         if not isinstance(getattr(kind, name, None), str) or not getattr(kind, name):
-            raise fail_at_class(path, kind, f"lacks {name}, a text", name)
+            raise user_class_error(path, kind, f"lacks {name}, a text", name)
     if not isinstance(class_literal(read_user_text(Path(path))[0], "urgent_stop"), bytes):
-        raise fail_at_class(
+        raise user_class_error(
             path,
             kind,
             'lacks urgent_stop, bytes as a literal (urgent_stop = b"!"), sent before all else',
@@ -97,7 +97,7 @@ def _check(kind: type[LineProtocol], path: str) -> None:
     move = "move_line" if missing_member(kind, LineProtocol, ("move",)) else "move"
     missing = missing_member(kind, LineProtocol, ("identity", "state", move))
     if missing:
-        raise fail_at_class(path, kind, f"lacks {missing}: {(getattr(LineProtocol, missing).__doc__ or '').strip()}")
+        raise user_class_error(path, kind, f"lacks {missing}: {(getattr(LineProtocol, missing).__doc__ or '').strip()}")
     for name in (*RESULTS, "confirm", "limits"):
         call = vars(kind).get(name)
         if call is not None and not inspect.isgeneratorfunction(call):

@@ -15,7 +15,7 @@ from rig.effects.framework.parameters_covariates_and_markers import Context, Lin
 from rig.errors import RigError
 from rig.model.base_and_link_tilts import GRAVITY, has_gravity, logged_gravity
 from rig.model.design import Camera
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 WEIGHT = 9.80665  # m/s^2, for which `yields` is stated
 TURNS = 0.02  # of it, RMS, from which a component of gravity is asked for

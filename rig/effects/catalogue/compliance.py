@@ -22,7 +22,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     log_uniform,
 )
 from rig.errors import RigError
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (

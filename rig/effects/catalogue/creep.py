@@ -9,7 +9,7 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_markers import Parameter
-from rig.effects.framework.shared_effect_laws import WeightedSum, lagged_lengths, shares_parameter
+from rig.effects.framework.shared_effect_laws import WeightedSum, lagged_lengths, member_weights_parameter
 
 SPREAD = 5.0  # times as long as the one before, each further time constant
 
@@ -30,7 +30,7 @@ class Creep(WeightedSum):
     parameters: ClassVar = (
         Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)),
         Parameter("time_constant", "s", (0.05, 1e4), (1, 1000), role="log"),
-        shares_parameter(0, 1),
+        member_weights_parameter(0, 1),
     )
     whole: ClassVar = "fraction"
     scale: ClassVar = "time_constant"

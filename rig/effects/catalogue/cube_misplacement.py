@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, replace_marker_columns
-from rig.model.hands_places_and_tolerances import SEAT, Place
+from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, markers_with_replaced_columns
+from rig.model.hands_effect_places_and_tolerances import SEAT, Place
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -32,6 +32,6 @@ class CubeMisplacement(Effect):
             return markers
         middle = markers.T_body_marker.translation[rows].mean(axis=0)
         shift = exp(np.r_[middle, 0, 0, 0]) * exp(np.asarray(self.motion)) * exp(np.r_[-middle, 0, 0, 0])
-        return replace_marker_columns(
+        return markers_with_replaced_columns(
             markers, T_body_marker=displace_selected_poses(markers.T_body_marker, rows, lambda T: shift * T)
         )

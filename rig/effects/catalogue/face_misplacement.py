@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, replace_marker_columns
-from rig.model.hands_places_and_tolerances import PLACES, Place
+from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, markers_with_replaced_columns
+from rig.model.hands_effect_places_and_tolerances import PLACES, Place
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -32,7 +32,7 @@ class FaceMisplacement(Effect):
 
     def attach(self, markers: Markers) -> Markers:
         rows = np.array([self.at(Place("marker", str(number))) for number in markers.id])
-        return replace_marker_columns(
+        return markers_with_replaced_columns(
             markers,
             T_body_marker=displace_selected_poses(
                 markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])

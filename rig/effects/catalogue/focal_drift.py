@@ -11,7 +11,7 @@ from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.parameters_covariates_and_markers import Context, Parameter
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 

@@ -17,8 +17,8 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     log_uniform,
     travel_covariate,
 )
-from rig.effects.framework.shared_effect_laws import WeightedSum, shares_parameter
-from rig.model.hands_places_and_tolerances import Place
+from rig.effects.framework.shared_effect_laws import WeightedSum, member_weights_parameter
+from rig.model.hands_effect_places_and_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum
 LOST, LOST_TURN = (2e-6, 5e-5), (1e-5, 1e-3)  # m, rad: what rigs lose between the two directions
@@ -40,7 +40,7 @@ class Hysteresis(WeightedSum):
     parameters: ClassVar = (
         Parameter("range", "m", (1e-5, 0.1), (1e-3, 2e-2), role="log", joint=((1e-5, 10), (1e-3, 1.0))),
         Parameter("weight", "", (0, 1), (1e-3, 0.1)),
-        shares_parameter(0, 1),
+        member_weights_parameter(0, 1),
     )
     whole: ClassVar = "weight"
     scale: ClassVar = "range"

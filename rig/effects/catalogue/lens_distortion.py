@@ -20,7 +20,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     log_uniform,
 )
 from rig.model.design import Camera, chebyshev_products, warp_columns
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 LACKING = {
     "thin prism": (8, 9, 10, 11),

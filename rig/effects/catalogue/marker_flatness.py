@@ -14,9 +14,9 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Markers,
     Parameter,
     draw_number,
-    replace_marker_columns,
+    markers_with_replaced_columns,
 )
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 CORNERS = 4
 
@@ -48,7 +48,7 @@ class MarkerFlatness(Effect):
     def attach(self, markers: Markers) -> Markers:
         rows = np.array([self.at(Place("marker", str(number))) for number in markers.id])
         lifted = rows[:, None] & (np.arange(CORNERS) == int(self.corner))
-        return replace_marker_columns(markers, heights=markers.heights + self.height * lifted)
+        return markers_with_replaced_columns(markers, heights=markers.heights + self.height * lifted)
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:

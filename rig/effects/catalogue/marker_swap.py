@@ -7,8 +7,13 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Drawing, Markers, Parameter, replace_marker_columns
-from rig.model.hands_places_and_tolerances import Place
+from rig.effects.framework.parameters_covariates_and_markers import (
+    Drawing,
+    Markers,
+    Parameter,
+    markers_with_replaced_columns,
+)
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import displace_selected_poses, exp
 
 
@@ -72,7 +77,7 @@ class MarkerSwap(Effect):
         poses = displace_selected_poses(
             markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin
         )
-        return replace_marker_columns(
+        return markers_with_replaced_columns(
             markers,
             T_body_marker=poses,
             on_platform=markers.on_platform[order],

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, replace_marker_columns
-from rig.model.hands_places_and_tolerances import SIDES
+from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, markers_with_replaced_columns
+from rig.model.hands_effect_places_and_tolerances import SIDES
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,4 +26,4 @@ class PrintScale(Effect):
     tolerance: ClassVar = SIDES
 
     def attach(self, markers: Markers) -> Markers:
-        return replace_marker_columns(markers, side=markers.side * (1 + self.scale))
+        return markers_with_replaced_columns(markers, side=markers.side * (1 + self.scale))

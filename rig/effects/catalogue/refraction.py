@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.parameters_covariates_and_markers import Context, Drawing, Parameter, draw_number
 from rig.model.design import Camera
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others

@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_markers import Covariate, Parameter, time_covariate
-from rig.effects.framework.shared_effect_laws import WeightedSum, shares_parameter
+from rig.effects.framework.shared_effect_laws import WeightedSum, member_weights_parameter
 
 SPREAD = 3.0  # times as long as the first, the second time constant
 
@@ -32,7 +32,7 @@ class WarmUp(WeightedSum):
     parameters: ClassVar = (
         Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4), joint=((-0.2, 0.2), (1e-5, 1e-3))),
         Parameter("time_constant", "s", (60, 1e5), (600, 7200), role="log"),
-        shares_parameter(-5, 6),
+        member_weights_parameter(-5, 6),
     )
     whole: ClassVar = "amplitude"
     scale: ClassVar = "time_constant"

@@ -37,7 +37,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
 )
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.hands_places_and_tolerances import AXES, Place, Tolerance, axis_mask
+from rig.model.hands_effect_places_and_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES, LINEAR = ("command", "struts", "structure"), ("linear", "inverse")  # stages; roles of parameters

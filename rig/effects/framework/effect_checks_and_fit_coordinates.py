@@ -13,7 +13,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_markers import Parameter
 from rig.formats.checked_entries import NAME
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.model.hands_places_and_tolerances import AXES, NUMBER, Place
+from rig.model.hands_effect_places_and_tolerances import AXES, NUMBER, Place
 
 MOST = 1000  # numbers of a parameter of any length
 
@@ -137,7 +137,7 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
 def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
     """Coordinates ([Coordinate]) of the effects' parameters that a fit may change, in order."""
     return [
-        Coordinate(number, p.name, index, p.role, _step(p), p.bounds, prior_precision(p, index))
+        Coordinate(number, p.name, index, p.role, _step(p), p.bounds, inverse_prior_standard_deviation(p, index))
         for number, effect in enumerate(effects)
         for p in effect.parameters_at(effect.place)
         for index in effect.fitted(p)
@@ -161,7 +161,7 @@ def effects_with_coordinates(
 
 
 def conserved_coordinate_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
-    """Conserved coordinate sums (k, c).
+    """Rows (k, c) of sums of fit coordinates that a fit must leave unchanged, as the effects state them.
 
     Sums that a fit must leave as they are, as the effects state them.
     """
@@ -186,8 +186,8 @@ def _step(p: Parameter) -> float:
     }.get(p.role, 1e-2 * size)
 
 
-def prior_precision(parameter: Parameter, index: int | None) -> float:
-    """Prior precision of a parameter, 1 / standard deviation.
+def inverse_prior_standard_deviation(parameter: Parameter, index: int | None) -> float:
+    """1 / standard deviation of a parameter's prior, 0 for a scalar or a direction.
 
     0 for a scalar or a direction.
     """
@@ -203,7 +203,7 @@ def cost_of_priors(effects: tuple[Effect, ...]) -> float:
     """
     return float(
         sum(
-            np.sum((np.asarray(getattr(e, p.name)) * prior_precision(p, 0)) ** 2)
+            np.sum((np.asarray(getattr(e, p.name)) * inverse_prior_standard_deviation(p, 0)) ** 2)
             for e in effects
             for p in e.parameters
             if p.role in ("linear", "form") and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))

@@ -15,7 +15,7 @@ from rig.model.base_and_link_tilts import gravity_at_exposures
 from rig.model.design import Actuator, Platform
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import (
     UNSTATED,
-    has_stated_weights,
+    are_hand_masses_and_centres_stated,
     loads_by_weight_of_hands,
     weight_wrench,
 )
@@ -308,7 +308,7 @@ class Motion:
     def no_loads(self) -> str | None:
         """Why the loads of the axes are not known, or None."""
         if has_links(self.mechanism) and self.mechanism.hands:
-            if not has_stated_weights(self.mechanism):
+            if not are_hand_masses_and_centres_stated(self.mechanism):
                 return UNSTATED
             return "takes no payload with several hands" if self.payload().any() else None
         if self.platform.mass is None or self.platform.centre_of_mass is None:

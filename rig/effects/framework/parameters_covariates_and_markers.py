@@ -15,7 +15,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model.design import Camera, Design
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.recording.recording_folder import Sensors
 
 
@@ -369,6 +369,6 @@ class MarkerTable(Protocol):
 Markers = TypeVar("Markers", bound=MarkerTable)
 
 
-def replace_marker_columns(markers: Markers, **columns: object) -> Markers:
-    """The table of markers with some columns replaced."""
+def markers_with_replaced_columns(markers: Markers, **columns: object) -> Markers:
+    """Copy of a marker table (Markers) with some of its columns replaced."""
     return cast(Markers, replace(cast(Any, markers), **columns))  # a Protocol cannot say that it is a dataclass

@@ -30,14 +30,14 @@ def lagged_lengths(path: Path, time_constant: float) -> Floats:
     return path.walked(lambda t, lengths: first_order_lag(t, lengths, time_constant))
 
 
-def lagged_path(path: Path, time_constant: float, own: Booleans) -> Path:
+def lagged_path(path: Path, time_constant: float, lagging_axes: Booleans) -> Path:
     """Path of which some axes lag by a time constant (s), with knots where a change of their speed still shows.
 
-    own : (axes,) whether an axis lags
+    lagging_axes : (axes,) whether an axis lags
     """
-    turned = np.abs(np.diff(path.speeds[:, own], axis=0)).max(axis=1) > STEADY * np.abs(path.speeds).max()
+    turned = np.abs(np.diff(path.speeds[:, lagging_axes], axis=0)).max(axis=1) > STEADY * np.abs(path.speeds).max()
     path = path.with_knots((path.t[:-1][turned, None] + AFTER * time_constant).ravel())
-    return replace(path, lengths=np.where(own, lagged_lengths(path, time_constant), path.lengths))
+    return replace(path, lengths=np.where(lagging_axes, lagged_lengths(path, time_constant), path.lengths))
 
 
 ROUNDED = 1e-3  # by which the sum of shares that somebody writes may differ from 1
@@ -145,8 +145,8 @@ class WeightedSum(Effect):
         return effect.axes(motion.places)[:, None] * np.stack(members, axis=-1)
 
 
-def shares_parameter(low: float, high: float) -> Parameter:
-    """Parameter of the members' shares, each within low and high."""
+def member_weights_parameter(low: float, high: float) -> Parameter:
+    """The Parameter `shares` of a WeightedSum: the weight of each of its members, within low and high."""
     return Parameter("shares", "", (low, high), (0.1, 0.5), 0, role="form")
 
 

@@ -21,10 +21,10 @@ from rig.formats.importers.units_and_timestamps import (
     TIMES,
     Times,
     UnclearInput,
-    first_text_not_a_time,
+    index_of_first_text_not_a_time,
     read_times,
     split_header,
-    unknown_unit,
+    unrecognised_unit_of_header,
 )
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
@@ -123,7 +123,7 @@ class Cells:
 
     def known_unit(self, at: int, setting: str) -> str | None:
         """The same. Raises FileError for a word in brackets that is none. setting : KEY=VALUE that states another"""
-        unit, word = self.unit(at), unknown_unit(self.header[at])
+        unit, word = self.unit(at), unrecognised_unit_of_header(self.header[at])
         if unit is None and word is not None:
             message = f"column {short_repr(self.header[at])} is in {short_repr(word)}, which is no known unit; convert "
             raise FileError(self.path, f"{message}it, or state its unit: --set {setting}", value=word)
@@ -134,7 +134,7 @@ class Cells:
         the first that is none.
         """
         unit = stated.time_unit or (self.unit(at) if self.unit(at) in TIMES else None)
-        odd = first_text_not_a_time(self.column(at), unit)
+        odd = index_of_first_text_not_a_time(self.column(at), unit)
         if odd is not None:
             cell, header = self.rows[odd][at], short_repr(self.header[at])
             message = f"column {header}: {short_repr(cell)} is not a time{f' in {unit}' if unit else ''}: times are "

@@ -93,7 +93,7 @@ def split_header(header: str) -> tuple[str, str | None]:
     return header, None
 
 
-def unknown_unit(header: str) -> str | None:
+def unrecognised_unit_of_header(header: str) -> str | None:
     """The word in brackets at the end of a header, where it is no unit; else None."""
     found = BRACKETS.match(header)
     return found[2] if found and found[1] and parse_unit(found[2]) is None else None
@@ -162,7 +162,7 @@ class Times:
     remarks: tuple[str, ...]
 
 
-def first_text_not_a_time(texts: Sequence[str], unit: str | None) -> int | None:
+def index_of_first_text_not_a_time(texts: Sequence[str], unit: str | None) -> int | None:
     """Index of the first text that is no time: no number, or no ISO 8601 where most are or `unit` is "iso"; or None."""
     form = max((SECONDS, ISO), key=lambda one: sum(map(bool, map(one.fullmatch, texts))))
     form = form if unit is None else ISO if unit == "iso" else SECONDS

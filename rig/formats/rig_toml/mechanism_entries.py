@@ -14,7 +14,7 @@ from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, planar_of_table
-from rig.model.hands_places_and_tolerances import Branch, Hand, hand_names
+from rig.model.hands_effect_places_and_tolerances import Branch, Hand, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, target_bodies

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError, Unreachable
-from rig.model.hands_places_and_tolerances import carried_joints
+from rig.model.hands_effect_places_and_tolerances import carried_joints
 from rig.model.mechanism_geometry_classes import Arm
 
 AXIS, UNIT = "joint", "rad"
@@ -84,9 +84,12 @@ def joint_frames(q: Floats, arm: Arm) -> JointFrames:
     return JointFrames(before, after, after[..., last, :, :] @ arm.tool.as_matrix())
 
 
-def of_each_hand(function: Callable[[Floats, Arm], Floats], q: Floats, arm: Arm, hand: Integers | None) -> Floats:
-    """Values (m, ..) of a function (q (k, n), arm) -> (k, ..) with the hand (m,) of each row of q (m, n); the arm as it
-    is where None.
+def evaluate_with_hand_of_each_row(
+    function: Callable[[Floats, Arm], Floats], q: Floats, arm: Arm, hand: Integers | None
+) -> Floats:
+    """Values (m, ..) of a function of (q, arm), evaluated at each row of q (m, n) with that row's hand (m,).
+
+    hand : None evaluates with the arm as it is
     """
     if hand is None or not len(hand):
         return function(q, arm)
@@ -99,7 +102,9 @@ def of_each_hand(function: Callable[[Floats, Arm], Floats], q: Floats, arm: Arm,
 
 def hand_pose_of_each_row(q: Floats, arm: Arm, hand: Integers | None) -> RigidTransform:
     """Poses (m,) of the hand (m,) of each row of joint values q (m, n); of the arm as it is where None."""
-    return RigidTransform.from_matrix(of_each_hand(lambda own, one: joint_frames(own, one).tip, q, arm, hand))
+    return RigidTransform.from_matrix(
+        evaluate_with_hand_of_each_row(lambda own, one: joint_frames(own, one).tip, q, arm, hand)
+    )
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
@@ -139,7 +144,7 @@ def forward(q: Floats, arm: Arm, guess: RigidTransform | None = None) -> RigidTr
 
 
 def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
-    """Jacobian (..., 6, n) of the platform's velocity over its turning rate with the joint values.
+    """Jacobian (..., 6, n) of the platform's linear, then angular velocity by the joint rates.
 
     q : (..., n) rad or m; output_axes : "platform", the tangent on the right, or "base", the axes in which poses are
         given

@@ -362,6 +362,6 @@ def loads_by_weight_of_hands(q: Floats, arm: Arm, gravity: Floats) -> Floats:
     return out
 
 
-def has_stated_weights(arm: Arm) -> bool:
+def are_hand_masses_and_centres_stated(arm: Arm) -> bool:
     """Whether mass and centre of mass of every hand are stated."""
     return all(hand.mass is not None and hand.centre_of_mass is not None for hand in arm.hands)

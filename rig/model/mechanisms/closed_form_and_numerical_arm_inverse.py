@@ -90,8 +90,8 @@ class InverseBranches:
         return f"singular: {', '.join(names)}" if names else "regular"
 
 
-def six_joint_arm(arm: Arm) -> SixJointArm:
-    """Six-joint arm (SixJointArm) of an Arm with a closed form.
+def closed_form_of_six_joint_arm(arm: Arm) -> SixJointArm:
+    """Closed form (SixJointArm) of the inverse kinematics of a six-joint Arm, RigError where it has none.
 
     Raises RigError, with the misfit, for any other.
     """

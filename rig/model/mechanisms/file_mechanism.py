@@ -197,7 +197,7 @@ def jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Float
     return cast(Floats, out.reshape(*T_base_platform.shape, *out.shape[1:]))
 
 
-def identified_parameters(mechanism: FileMechanism) -> Integers:
+def fitted_parameter_indices(mechanism: FileMechanism) -> Integers:
     """Index (k,) of the parameters whose tolerance is not 0, which a calibration fits."""
     return np.flatnonzero(mechanism.stated.tolerances)
 
@@ -207,13 +207,13 @@ def scaled_parameters(mechanism: FileMechanism) -> Floats:
 
     The identified parameters less the owner's in tolerances, each of which counts as SCALE.
     """
-    free, stated = identified_parameters(mechanism), mechanism.stated
+    free, stated = fitted_parameter_indices(mechanism), mechanism.stated
     return SCALE * (mechanism.parameters - stated.nominal)[free] / stated.tolerances[free]
 
 
 def with_scaled_parameters(mechanism: FileMechanism, scaled: Floats) -> FileMechanism:
     """The mechanism with scaled parameters (k,) m."""
-    free, p = identified_parameters(mechanism), mechanism.stated.nominal.copy()
+    free, p = fitted_parameter_indices(mechanism), mechanism.stated.nominal.copy()
     p[free] += scaled / SCALE * mechanism.stated.tolerances[free]
     held = np.setdiff1d(np.arange(len(p)), free)
     p[held] = mechanism.parameters[held]
@@ -230,12 +230,12 @@ def with_random_parameters(mechanism: FileMechanism, rng: np.random.Generator, s
 
 
 def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Loop Jacobian (..., axes, k).
+    """Derivative (..., axes, k) of minus the axis values by the scaled parameters, at poses (...).
 
     Change of minus the axis values with the scaled parameters, at poses (...).
     """
     poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
-    free = identified_parameters(mechanism)
+    free = fitted_parameter_indices(mechanism)
     out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)
     out *= mechanism.stated.tolerances[free] / SCALE
     return out.reshape(*T_base_platform.shape, *out.shape[1:])
@@ -246,14 +246,14 @@ def parameter_units_and_scales(mechanism: FileMechanism) -> tuple[tuple[str, ...
 
     Returns (units; (k,) unit of it for each m of the scaled parameters)
     """
-    free, stated = identified_parameters(mechanism), mechanism.stated
+    free, stated = fitted_parameter_indices(mechanism), mechanism.stated
     return tuple(stated.units[k] for k in free), stated.tolerances[free] / SCALE
 
 
 def parameter_names(mechanism: FileMechanism) -> tuple[str, ...]:
     """Names of the identified parameters, in order."""
     names = mechanism.stated.names
-    return tuple(names[k] for k in identified_parameters(mechanism))
+    return tuple(names[k] for k in fitted_parameter_indices(mechanism))
 
 
 def signed_limit_excess(values: Floats, mechanism: FileMechanism) -> Floats:

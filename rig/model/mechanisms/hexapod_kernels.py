@@ -156,13 +156,13 @@ def solve_poses_of_lengths(
     tolerance: float,
     matrices: Floats,
     residual: Floats,
-    crossed: Floats,
+    singularity_crossed: Floats,
 ) -> None:
     """Solve poses, matrices (n, 4, 4), for strut lengths (n, 6) m, zeros included, by Newton from a start.
 
     start : quaternions (n or 1, 4), real part first, and positions (n or 1, 3) m; tolerance : m, of a strut
-    residual : (n,) m, filled with what is left; crossed : (n,) bool, whether the Jacobian's determinant changed its
-        sign on the way
+    residual : (n,) m, filled with what is left; singularity_crossed : (n,) bool, whether the Jacobian's determinant
+        changed its sign on the way
     """
     n = len(wanted_lengths)
     M, q, t, R, aim = (
@@ -198,7 +198,7 @@ def solve_poses_of_lengths(
             _step(q, t, R, M, (struts.reach, struts.turn, tolerance), worst)
         for v in range(count):
             k = at + v
-            residual[k], crossed[k] = worst[v], not side[v] * before[v] > 0.0
+            residual[k], singularity_crossed[k] = worst[v], not side[v] * before[v] > 0.0
             for i in range(3):
                 matrices[k, 3, i] = 0.0
                 matrices[k, i, 3] = t[i, v]

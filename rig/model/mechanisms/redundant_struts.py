@@ -1,4 +1,4 @@
-"""Redundant struts: the best six of more, and closures of the others.
+"""Redundant struts: the best six legs give the pose, and the others' loop closures check it.
 
 Six degrees of freedom are free; the lengths of seven or eight struts follow from them. Lengths that do not agree hold
 the platform all the same, and strain the struts.
@@ -33,11 +33,16 @@ MAX_TRIALS = 60
 INWARDS = 0.8  # by which lengths that leave the range are brought nearer to its middle at a time
 
 
-def with_followers_of(mechanism: C, recorded: Mechanism | None) -> C:
-    """The mechanism with the followers of another, of the same struts, as it was recorded; none for None."""
+def with_follower_struts_of(mechanism: C, recorded_mechanism: Mechanism | None) -> C:
+    """The mechanism with the follower struts of the recorded mechanism, without any where that is None."""
     if not is_redundant(mechanism):
         return mechanism
-    return replace(mechanism, followers=recorded.followers if recorded is not None and is_redundant(recorded) else ())
+    return replace(
+        mechanism,
+        followers=recorded_mechanism.followers
+        if recorded_mechanism is not None and is_redundant(recorded_mechanism)
+        else (),
+    )
 
 
 def driven_six(hexapod: Hexapod) -> Hexapod:
@@ -57,8 +62,8 @@ def driven_struts(hexapod: Hexapod) -> Integers:
     return np.setdiff1d(np.arange(len(hexapod.axes)), hexapod.followers)
 
 
-def agreeing_lengths(lengths: Floats, hexapod: Hexapod, share: float = 1.0) -> Floats:
-    """Lengths (n, struts) m near given ones that close on one pose, within the middle `share` of the strut range.
+def agreeing_lengths(lengths: Floats, hexapod: Hexapod, fill: float = 1.0) -> Floats:
+    """Lengths (n, struts) m near given ones that close on one pose, within the middle `fill` of the strut range.
 
     Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those
     that would leave the range, or close on nothing, are brought nearer to its middle. Raises NotConverged where none do
@@ -74,7 +79,7 @@ def agreeing_lengths(lengths: Floats, hexapod: Hexapod, share: float = 1.0) -> F
             some = going[error.index]
             wanted[some] = middle + INWARDS * (wanted[some] - middle)
             continue
-        within = middle + (out[going] - middle) / share
+        within = middle + (out[going] - middle) / fill
         going = going[kinematics.signed_limit_excess(within, hexapod).any(axis=1)]
         if not len(going):
             return out
@@ -84,7 +89,7 @@ def agreeing_lengths(lengths: Floats, hexapod: Hexapod, share: float = 1.0) -> F
     )
 
 
-def conflict(T_base_platform: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
+def incompatible_strut_length_component(T_base_platform: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
     """Part (n, struts) m of commanded lengths, at the poses (n,) that they hold, that moves no platform.
 
     It is what struts press and pull against each other: times the stiffness of a strut, its internal force (N). The
@@ -204,7 +209,7 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
 
 
 def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
-    """Indices (6,) of the best six legs.
+    """Indices (6,) of the six legs that determine poses T (n,) best in the worst direction and pose.
 
     Those that determine poses T (n,) best in the worst direction and pose.
     Raises RigError

@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from rig.errors import RigError
 from rig.formats.output_files import CommandOutputs, write_text
-from rig.report import verdict_and_display
+from rig.report import verdict_refutations_and_result_display
 from rig.report.pages.html_and_svg_elements import (
     TEXT,
     WIDTH,
@@ -28,7 +28,7 @@ from rig.report.pages.html_and_svg_elements import (
     svg_text,
     wrap_text,
 )
-from rig.report.verdict_and_display import WORST, State, Verdict, worst_state
+from rig.report.verdict_refutations_and_result_display import WORST, State, Verdict, worst_state
 
 # nothing is fetched from anywhere
 SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
@@ -171,7 +171,7 @@ def read_page_summary(path: Path) -> PageSummary | None:
         return None
     if found is None or found[2] not in list(State):
         return None
-    later = verdict_and_display.refutations_of_file(path.with_suffix(".json"))
+    later = verdict_refutations_and_result_display.refutations_of_file(path.with_suffix(".json"))
     state, why = (
         worst_state([State(found[2]), *(one.state for one in later)]),
         "; ".join([*(one.line for one in later), html.unescape(found[3])]),

@@ -71,14 +71,14 @@ class Scale:
 
 def axis_scale_of_values(
     values: Floats,
-    ends: tuple[float, float],
+    ends_on_figure: tuple[float, float],
     log: bool = False,
     limits: tuple[float, float] | None = None,
-    whole: bool = False,
+    are_whole_numbers: bool = False,
 ) -> Scale:
     """Scale of an axis for all finite values (n,).
 
-    ends : (2,) on the figure; limits : replace the values' own; whole : whether they are whole numbers
+    ends_on_figure : (2,); limits : replace the values' own; are_whole_numbers : whether values are whole numbers
     """
     known = np.asarray(values, float).ravel()
     known = known[np.isfinite(known) & ((known > 0) | (not log))]
@@ -93,7 +93,7 @@ def axis_scale_of_values(
         else:
             room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
             low, high = low - room, high + room
-    return Scale(low, high, *ends, log, whole)
+    return Scale(low, high, *ends_on_figure, log, are_whole_numbers)
 
 
 LEFT, RIGHT, BELOW = 52.0, 392.0, 24.0
@@ -117,7 +117,7 @@ class Series:
 
 
 def panel_row_html(*figures: str) -> str:
-    """Row of panels.
+    """HTML of figures side by side where there is room, else below each other.
 
     Figures side by side where there is room, else below each other.
     """
@@ -148,7 +148,7 @@ def plot_panel_svg(
         else [s.y for s in series]
     )
     across = np.concatenate([s.x for s in series])
-    x = axis_scale_of_values(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
+    x = axis_scale_of_values(across, (LEFT, RIGHT), are_whole_numbers=bool(np.all(across == np.round(across))))
     y = axis_scale_of_values(
         np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits
     )

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.api.correct import CorrectOptions, correct
 from calib.api.export_to_other_programs import export
-from calib.correction.command_timing_and_pose_error_map import untimed_route
 from calib.correction.correction import Correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
@@ -22,6 +21,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
     home_pose,
 )
 from calib.correction.physics_compensation import Machine
+from calib.correction.timed_command_sequence_and_pose_error_map import untimed_route
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.cli.command_line import main

@@ -16,9 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.api import pose_move_and_correction_server
+from calib.api import correction_server_and_move_to_pose
 from calib.api.correct import CorrectOptions, correct
-from calib.api.pose_move_and_correction_server import CLIENTS, CorrectionServer, answer_request
+from calib.api.correction_server_and_move_to_pose import CLIENTS, CorrectionServer, answer_request
 from calib.files import calibration_file
 from rig.cli.command_line import main
 from rig.errors import RigError
@@ -181,13 +181,13 @@ def test_an_error_bears_the_requests_id(client):
 
 
 def test_too_long_a_line_is_an_error_and_no_more(client, monkeypatch):
-    monkeypatch.setattr(pose_move_and_correction_server, "LONGEST", 1000)
+    monkeypatch.setattr(correction_server_and_move_to_pose, "LONGEST", 1000)
     assert "at most 1000 bytes" in client.ask(b"x" * 5000 + b"\n")["error"]
     assert client.ask({"id": 1, "poses": [[0, 0, 0.45, 0, 0, 0]]})["commands"][0] is not None
 
 
 def test_a_fault_of_the_program_is_an_answer_and_its_traceback_is_printed(calibrations, monkeypatch, capsys):
-    monkeypatch.setattr(pose_move_and_correction_server, "correct", lambda *_: 1 / 0)
+    monkeypatch.setattr(correction_server_and_move_to_pose, "correct", lambda *_: 1 / 0)
     found = answer_request(calibrations["simplices"], b'{"id": 3, "poses": [[0, 0, 0.45, 0, 0, 0]]}')
     assert found == {"id": 3, "error": "a fault of this program, ZeroDivisionError: division by zero"}
     assert "Traceback" in capsys.readouterr().err

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.command_timing_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
@@ -24,6 +23,7 @@ from calib.correction.physics_compensation import (
     command_uncertainty_from_unknown_history,
     compensated_commands_at_poses,
 )
+from calib.correction.timed_command_sequence_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
 from calib.diagnosis.findings_refit import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route

@@ -18,10 +18,10 @@ from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import unlisted_physics
+from synthetic import unlisted_effects_and_corner_noise
 from tests.bench.investigate import POSES, Case
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
@@ -123,7 +123,7 @@ def test_a_step_soon_after_the_start_is_found(tmp_path, design):
 
 @pytest.mark.slow
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
-    rec = recorded(tmp_path, design, [unlisted_physics.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
+    rec = recorded(tmp_path, design, [unlisted_effects_and_corner_noise.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
     found = diagnosis_of(rec, only=["warm_up", "missed_steps", "creep", "scale_error", "travel_heating"])
     assert not found.effects and found.left[0].place == Place("strut", "5")
 

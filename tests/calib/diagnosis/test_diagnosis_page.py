@@ -21,7 +21,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
 from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses
@@ -198,7 +198,7 @@ def test_every_effect_says_what_to_do():
 def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
     found, diagnosis = diagnosed
     monkeypatch.setattr(
-        platform, "operating_point_without_distant_corners", lambda point: point
+        platform, "remove_corners_far_from_prediction", lambda point: point
     )  # there are no corners that could be out of reach
     k = diagnosis.selection.fit.refined.point
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):

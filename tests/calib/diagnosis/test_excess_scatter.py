@@ -17,10 +17,10 @@ from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, summary_sentence
 from calib.samples.pose_samples import sample_recording
 from rig.model.design import Arm
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
-from rig.report.verdict_and_display import State
+from rig.report.verdict_refutations_and_result_display import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded

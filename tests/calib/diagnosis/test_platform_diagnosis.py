@@ -26,11 +26,11 @@ from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_physics
+from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_effects_and_corner_noise
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
@@ -242,7 +242,7 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     rng = np.random.default_rng(4)
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
     secret = secret_machine_and_truth_file.draw_machine(
-        design, rng, 1.0, (unlisted_physics.UnevenPrint("markers", tuple(scales)),)
+        design, rng, 1.0, (unlisted_effects_and_corner_noise.UnevenPrint("markers", tuple(scales)),)
     )
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:60", 3), rng),

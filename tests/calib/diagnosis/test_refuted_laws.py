@@ -9,10 +9,10 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import oper
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_physics
+from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_effects_and_corner_noise
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
 from tests.calib.rigs_with_unmodelled_physics import measured_by
@@ -52,10 +52,13 @@ def seen(tmp_path_factory, rig_text):
     "effect, depends, looked_at",
     [
         pytest.param(  # nearly a warm-up, by which struts would become shorter
-            unlisted_physics.SlippingClutch("strut 2", 1.5e-5), "way travelled", "own way", marks=pytest.mark.slow
+            unlisted_effects_and_corner_noise.SlippingClutch("strut 2", 1.5e-5),
+            "way travelled",
+            "own way",
+            marks=pytest.mark.slow,
         ),
         (
-            unlisted_physics.Crosstalk("strut 6", 3, -6e-4, 0.05),
+            unlisted_effects_and_corner_noise.Crosstalk("strut 6", 3, -6e-4, 0.05),
             "strut 3's position",
             "travel of strut 3",
         ),  # nearly a straight line
@@ -81,7 +84,7 @@ def test_a_focal_length_that_comes_and_goes_is_seen_beside_a_mount_that_stands(t
     course = tuple(value for k in range(4) for value in (6.5e-6, (3 + k) / 700, 1.0 + k))
     problem = PlatformProblem(
         operating_point_of_recording(
-            recorded(tmp_path, design, [unlisted_physics.BreathingLens("camera cam1", course)])
+            recorded(tmp_path, design, [unlisted_effects_and_corner_noise.BreathingLens("camera cam1", course)])
         )[0],
         [],
     )

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import nnls
 
 from calib.api.diagnose import diagnose
-from calib.diagnosis.engine.candidate_score import joint_gain
+from calib.diagnosis.engine.candidate_score import joint_fit_and_explained_sum_of_squares
 from calib.diagnosis.engine.linear_model import Projection
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.recording import recording_folder
@@ -22,7 +22,7 @@ def projection(columns, residual):
 def test_sizes_of_columns_are_those_of_least_squares_that_never_goes_below_zero():
     rng = np.random.default_rng(5)
     columns, residual = rng.normal(size=(40, 6)) @ rng.normal(size=(6, 6)), rng.normal(size=40)
-    sizes, gain = joint_gain(projection(columns, residual), np.zeros(6, bool))
+    sizes, gain = joint_fit_and_explained_sum_of_squares(projection(columns, residual), np.zeros(6, bool))
     expected, left = nnls(columns, residual)
     assert np.allclose(sizes, expected, atol=1e-3 * expected.max())
     assert gain == pytest.approx(residual @ residual - left**2, rel=1e-4)
@@ -32,7 +32,7 @@ def test_what_may_have_either_sign_does_and_a_column_that_another_makes_needless
     rng = np.random.default_rng(6)
     columns, sizes = rng.normal(size=(50, 3)), np.array([2.0, -1.0, 0.5])
     twice = np.column_stack([columns, columns[:, 0]])
-    found, gain = joint_gain(projection(twice, columns @ sizes), np.ones(4, bool))
+    found, gain = joint_fit_and_explained_sum_of_squares(projection(twice, columns @ sizes), np.ones(4, bool))
     assert np.allclose(twice @ found, columns @ sizes) and gain == pytest.approx(((columns @ sizes) ** 2).sum())
 
 

@@ -10,10 +10,6 @@ import pytest
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
-from calib.diagnosis.problems.platform.alternatives_of_findings import (
-    parameter_errors_by_tolerances,
-    widen_intervals_by_temperature_logs_and_tolerances,
-)
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import tolerance_sigmas_from_residuals
@@ -22,11 +18,15 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     refine_at_fixed_repeated_error,
     refine_operating_point,
 )
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
+    parameter_errors_by_tolerances,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
 from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.hands_places_and_tolerances import SIDES
+from rig.model.hands_effect_places_and_tolerances import SIDES
 from synthetic import blind_cases
 from tests.calib.recordings_with_effects import recorded
 

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from calib.api.diagnose import diagnose
-from calib.diagnosis.problems.platform.alternatives_of_findings import parameter_errors_by_temperature_logs
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
+    parameter_errors_by_temperature_logs,
+)
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line

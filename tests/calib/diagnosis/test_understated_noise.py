@@ -15,7 +15,7 @@ from calib.diagnosis.problems.pose_noise_excess import MISSTATED, PoseResiduals,
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, diagnosis_verdict, summary_sentence
 from rig.cli import command_line
 from rig.recording.recording_folder import load_recording
-from rig.report.verdict_and_display import State
+from rig.report.verdict_refutations_and_result_display import State
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.truth import Case, draw, matrices, record, rows_of
 from tests.truth.draw_machines import secret

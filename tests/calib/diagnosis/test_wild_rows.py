@@ -27,7 +27,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp
 from rig.recording import frame_selection_and_content_hashes, recording_folder
-from rig.report.verdict_and_display import State
+from rig.report.verdict_refutations_and_result_display import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded

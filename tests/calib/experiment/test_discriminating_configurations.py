@@ -11,8 +11,8 @@ from calib.experiment.experiment_questions_and_information import (
     Hypothesis,
     PerFrame,
     camera_information_shares,
-    choose_exposures,
     discriminating_configurations,
+    most_informative_exposures,
 )
 from calib.experiment.platform_questions import PlatformQuestion, predicted_outcomes_of_two_likeliest_hypotheses
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -36,8 +36,12 @@ def test_what_is_left_open_counts_for_nothing_however_large():
     """Three exposures differ most, by what one open number explains in all of them; two smaller ones it does not."""
     open_ones = 100 * np.array([[1.0], [1.0], [1.0], [0.0], [0.0], [1e-3]])
     one = frames([3.0, 3.0, 3.0, 1.0, 1.5, 0.1], open_ones)
-    assert choose_exposures([one], 2).tolist() == [4, 3]
-    assert choose_exposures([frames([3.0, 3.0, 3.0, 1.0, 1.5, 0.1], np.zeros((6, 1)))], 3).tolist() == [0, 1, 2]
+    assert most_informative_exposures([one], 2).tolist() == [4, 3]
+    assert most_informative_exposures([frames([3.0, 3.0, 3.0, 1.0, 1.5, 0.1], np.zeros((6, 1)))], 3).tolist() == [
+        0,
+        1,
+        2,
+    ]
 
 
 def test_the_best_pair_is_found_as_trying_all_finds_it():
@@ -48,7 +52,7 @@ def test_the_best_pair_is_found_as_trying_all_finds_it():
         X = N[list(pair)]
         return d[list(pair)] @ np.linalg.solve(np.eye(len(pair)) + X @ X.T, d[list(pair)])
 
-    first, second = choose_exposures([frames(d, N)], 2).tolist()
+    first, second = most_informative_exposures([frames(d, N)], 2).tolist()
     assert first == max(range(8), key=lambda i: distance((i,)))
     assert second == max((i for i in range(8) if i != first), key=lambda i: distance((first, i)))
     assert total_information(frames(d, N)) == pytest.approx(distance(range(8)))
@@ -56,7 +60,7 @@ def test_the_best_pair_is_found_as_trying_all_finds_it():
 
 def test_more_than_there_are_cannot_be_chosen():
     with pytest.raises(ValueError, match="3 exposures are to be chosen from 2"):
-        choose_exposures([frames([1.0, 1.0], np.zeros((2, 1)))], 3)
+        most_informative_exposures([frames([1.0, 1.0], np.zeros((2, 1)))], 3)
 
 
 def test_they_are_a_part_of_a_plan(design):

@@ -31,7 +31,7 @@ from rig.formats.output_files.staged_folder_and_manifest import load_manifest
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
-from rig.report import verdict_and_display
+from rig.report import verdict_refutations_and_result_display
 from tests.conftest import ROOT
 from tests.source_trees import nodes
 
@@ -74,7 +74,9 @@ def suggesting(path: Path) -> None:
 
 def refuted(path: Path) -> None:
     """What was refuted in a folder whose list this is."""
-    verdict_and_display.load_refutations(path.rename(path.with_name(verdict_and_display.NAME)).parent)
+    verdict_refutations_and_result_display.load_refutations(
+        path.rename(path.with_name(verdict_refutations_and_result_display.NAME)).parent
+    )
 
 
 READERS = {  # schema: what reads such files

@@ -17,7 +17,7 @@ from rig.cli.command_line import main
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.planning import plan
 from rig.report.pages.page_templates_and_index_page import Page, list_pages_below_folder, read_page_summary, write_page
-from rig.report.verdict_and_display import State, Verdict
+from rig.report.verdict_refutations_and_result_display import State, Verdict
 from tests.conftest import ROOT
 
 BENCH = ROOT / "tests" / "data" / "bench"

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from rig.cli.command_line import main
-from rig.report import verdict_and_display
+from rig.report import verdict_refutations_and_result_display
 from rig.report.pages.page_templates_and_index_page import list_pages_below_folder
 from tests import truth
 from tests.truth.draw_faults import fits
@@ -130,7 +130,7 @@ def test_learning_goes_on_where_the_estimate_closes_on_no_pose(tmp_path, capsys)
 def test_creep_has_one_verdict_and_marks_the_calibration(tmp_path, capsys):
     states = through(tmp_path, capsys, "creep")
     assert set(states.values()) == {"check"}, states
-    (found,) = verdict_and_display.refutations_of_file(tmp_path / "calibration.json")
+    (found,) = verdict_refutations_and_result_display.refutations_of_file(tmp_path / "calibration.json")
     assert (found.command, found.recording, found.state) == (
         "diagnose",
         "rec",

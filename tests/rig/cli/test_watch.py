@@ -11,8 +11,8 @@ from calib.files import calibration_file
 from calib.report.verification_and_repeated_visit_pages import Visit, last_visit_verdict
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from rig.report.verdict_and_display import REFUTED as CHANGED
-from rig.report.verdict_and_display import Evidence
+from rig.report.verdict_refutations_and_result_display import REFUTED as CHANGED
+from rig.report.verdict_refutations_and_result_display import Evidence
 from tests.calib.daily_visits import changed, rig
 
 

@@ -125,6 +125,22 @@ def test_a_kernel_is_compiled_anew_after_a_change_of_what_it_takes_from_another_
     assert [written(2.0), written(3.0), written(2.0)] == [8.0, 12.0, 8.0]
 
 
+def test_kernels_kept_by_an_earlier_version_whose_modules_have_moved_are_compiled_anew(tmp_path):
+    def total(module):
+        (tmp_path / f"{module}.py").write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    a: float\n")
+        imports, function = f"from {module} import Pair", "def total(pair):\n    return pair.a + 1.0\n"
+        (tmp_path / "kernel.py").write_text(KERNEL.format(imports=imports, function=function))
+        environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+        environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+        code = "import kernel; print(kernel.total(kernel.Pair(2.0)))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+        (tmp_path / f"{module}.py").unlink()
+        assert not done.returncode, done.stderr
+        return float(done.stdout)
+
+    assert [total("first"), total("second")] == [3.0, 3.0]
+
+
 @pytest.mark.parametrize("named", [None, "generic"])
 def test_kernels_are_compiled_for_all_processors_of_a_kind_unless_one_is_named(named):
     code = (

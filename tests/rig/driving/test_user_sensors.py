@@ -3,7 +3,7 @@
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.user_classes_and_sensor_reader import open_sensors, require_own_rig_toml
+from rig.driving.user_classes_and_sensor_reader import open_sensors, refuse_programs_of_untrusted_rig_toml
 from rig.errors import FileError, NoAnswer, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import SensorPort
@@ -53,7 +53,7 @@ def test_a_program_of_sensors_is_not_run_from_a_recording(tmp_path):
     path.write_text(path.read_text() + '\n[sensors]\nport = "file:gauge.py"\nchannels = ["gauge"]\n')
     design = design_from_rig_toml.load_design(path)
     assert design.sensors.port == f"file:{tmp_path}/rec/gauge.py"
-    require_own_rig_toml(path, design)
+    refuse_programs_of_untrusted_rig_toml(path, design)
     (tmp_path / "rec" / "frames.csv").touch()
     with pytest.raises(RigError, match="part of a recording"):
-        require_own_rig_toml(path, design)
+        refuse_programs_of_untrusted_rig_toml(path, design)

@@ -10,7 +10,7 @@ from rig.cli.command_line import main
 from rig.errors import FileError
 from rig.formats.output_files import CommandOutputs
 from rig.report.pages.page_templates_and_index_page import Page, read_page_summary, write_page
-from rig.report.verdict_and_display import (
+from rig.report.verdict_refutations_and_result_display import (
     BALANCE,
     NAME,
     Evidence,

@@ -13,13 +13,13 @@ from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
-from vision.recording_measurement import measure_with_stated_or_free_places
+from vision.recording_measurement import measure_with_stated_or_free_markers
 
 
 def measured(made: Handmade, places: str = "auto") -> Measurement:
     frames, markers = np.arange(len(made.T)), marker_map(made.stated)
     observed = observations_from_corners(made.corners, frames, made.stated, markers)
-    return measure_with_stated_or_free_places(
+    return measure_with_stated_or_free_markers(
         observed, made.stated, markers, ("poses", "lenses"), None, frames * 1.0, places
     )
 

@@ -48,7 +48,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import He
 from calib.identify.least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested

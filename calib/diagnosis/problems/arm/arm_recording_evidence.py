@@ -28,7 +28,7 @@ from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, A
 from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
     JointCandidate,
-    findings_of_measured_effects,
+    findings_of_effects_fitted_before_search,
     fit_of_measured_effects,
     joint_candidates,
 )
@@ -160,7 +160,7 @@ class ArmEvidence:
 
     @property
     def measured_findings(self) -> tuple[MeasuredFinding, ...]:
-        return () if self.instrument_fit is None else findings_of_measured_effects(self.instrument_fit)
+        return () if self.instrument_fit is None else findings_of_effects_fitted_before_search(self.instrument_fit)
 
     @property
     def effects_shown_by_instruments(self) -> tuple[Effect, ...]:

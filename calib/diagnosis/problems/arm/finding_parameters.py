@@ -33,7 +33,7 @@ from calib.diagnosis.problems.arm.scores_of_all_candidates import (
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Value,
-    onset_time_value,
+    onset_time_with_interval,
     value_with_interval_cut_at_bounds,
 )
 from rig.array_and_json_types import Floats
@@ -223,7 +223,7 @@ def finding_parameters(
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
     return out | {
-        key: onset_time_value(fit.arms.t, v, origin, onset_time_interval(fit, number, finding.score.dispersion))
+        key: onset_time_with_interval(fit.arms.t, v, origin, onset_time_interval(fit, number, finding.score.dispersion))
         if roles[key] == "moment"
         else value_with_interval_cut_at_bounds(v, units[key], (v - spread[key], v + spread[key]), bounds[key])
         if key in spread

@@ -14,7 +14,10 @@ from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotTested
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
-from calib.diagnosis.problems.arm.poses_needed_by_candidates import least_poses, most_parameters_of_candidate
+from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import (
+    minimum_pose_count,
+    most_parameters_of_candidate,
+)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     EffectSites,
     MeasuredFinding,
@@ -25,7 +28,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import smoo
 from calib.models.arm.certification import UNPLACED, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
-from calib.models.arm.pointing_terms import tube_flexure
+from calib.models.arm.pointing_terms import tube_flexure_effect
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import lean_under_link_weight
@@ -160,7 +163,7 @@ def _beyond_poses(
         numbers, whole = max(beyond.get(name, [(0, False)]))
         if numbers:
             most = most_parameters_of_candidate(count, k, freedoms, whole)
-            more = least_poses(k, freedoms, numbers, whole, count + 1)
+            more = minimum_pose_count(k, freedoms, numbers, whole, count + 1)
             what = f"forms of more than {most} numbers are not asked for" if found else f"it takes {numbers} numbers"
             out.append(NotTested(name, f"{count} poses bear {most} numbers of an effect; {what}: record {more} poses"))
         elif not found:
@@ -185,13 +188,13 @@ def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCan
     return [joint_candidate(group, arms) for group in ([specs] if several else [(spec,) for spec in specs])]
 
 
-def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
-    """JointCandidate of what an effect states at a place, one for each number of columns."""
-    first, places = specs[0], arms.context.moved().places
+def joint_candidate(effect_candidates: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
+    """JointCandidate of one effect at one place, from its EffectCandidates, one for each number of columns."""
+    first, places = effect_candidates[0], arms.context.moved().places
     joint = places.index(first.place) if first.place in places else None
     form = Form.STEP if first.kind.form == "step" else SIMPLICITY.get(first.kind.own_axis, Form.OTHER)
     positive = len(first.linear) < 2 and min((low for low, _ in _bounds(first)), default=0.0) >= 0
-    grid = [node for spec in specs for node in spec.grid]
+    grid = [node for spec in effect_candidates for node in spec.grid]
     # a node that is the size itself has one linear coefficient in its place, and so nothing that is sought besides
     return JointCandidate(
         name=first.kind.name,
@@ -199,11 +202,11 @@ def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCand
         grid=grid,
         extra=first.extra if first.linear else 0,
         joint=joint,
-        specs=specs,
-        weights=_cached_function_of_node(lambda node: _weights(_spec(specs, node), node, joint, arms)),
-        prior=lambda node: _prior(_spec(specs, node)),
+        specs=effect_candidates,
+        weights=_cached_function_of_node(lambda node: _weights(_spec(effect_candidates, node), node, joint, arms)),
+        prior=lambda node: _prior(_spec(effect_candidates, node)),
         form=form,
-        vector=max(len(spec.linear) for spec in specs) > 2,
+        vector=max(len(spec.linear) for spec in effect_candidates) > 2,
         step=first.spacing,
         bounds=(np.zeros(1), np.full(1, np.inf)) if positive else None,
     )
@@ -283,7 +286,7 @@ def effects_shown_by_instruments(recording: Recording, sampled: Sampled) -> tupl
     arm, samples = recording.design.mechanism, sampled.samples
     if not isinstance(arm, Arm) or recording.commands is None:
         return ()
-    flexure = tube_flexure(arm) if samples.measured == "direction" else ()
+    flexure = tube_flexure_effect(arm) if samples.measured == "direction" else ()
     readings = samples.tilts
     if readings is None or samples.measured in UNPLACED or all(sensor.link for sensor in readings.sensors):
         return flexure
@@ -308,7 +311,7 @@ def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit 
     return fit_geometry_and_effects(samples, history, start, effects)
 
 
-def findings_of_measured_effects(fit: JointFit) -> tuple[MeasuredFinding, ...]:
+def findings_of_effects_fitted_before_search(fit: JointFit) -> tuple[MeasuredFinding, ...]:
     """Findings of effects that were fitted before the search, with 95 % intervals; of a lean its RMS first."""
     out, coordinates, sigma = list[MeasuredFinding](), coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
     for number, effect in enumerate(fit.effects):

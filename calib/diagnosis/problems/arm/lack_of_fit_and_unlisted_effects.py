@@ -50,7 +50,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms import axis_places
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look

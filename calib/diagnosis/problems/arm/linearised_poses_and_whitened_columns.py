@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.physics_compensation import poses_with_predicted_rotations
-from calib.diagnosis.problems.arm.poses_needed_by_candidates import require_enough_poses
+from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import require_enough_poses
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeated_pairs
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm

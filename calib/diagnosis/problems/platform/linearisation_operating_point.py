@@ -20,7 +20,7 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Camera, Design
-from rig.model.hands_places_and_tolerances import FINDER, SEAT, Place
+from rig.model.hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, require_parallel
 from rig.model.pose import exp
@@ -323,8 +323,8 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
     )
 
 
-def operating_point_without_distant_corners(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint without corners distant from their predicted places.
+def remove_corners_far_from_prediction(point: OperatingPoint) -> OperatingPoint:
+    """OperatingPoint without the corners too far from their predicted pixels to belong to their marker.
 
     They are so distant that they belong to something else.
     """

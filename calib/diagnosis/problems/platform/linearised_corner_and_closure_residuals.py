@@ -17,9 +17,9 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     MEDIAN,
     PARTS,
     CornerDerivatives,
-    camera_edge_bias_freedoms,
+    camera_edge_bias_nuisances,
     corner_derivatives,
-    cube_seat_freedoms,
+    remounted_cube_pose_nuisances,
     split_rows_by_frame_bases,
 )
 from calib.models.platform.closed_loop_equations import (
@@ -29,7 +29,7 @@ from calib.models.platform.closed_loop_equations import (
 )
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.hands_places_and_tolerances import FINDER, SEAT
+from rig.model.hands_effect_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     loop_closure_parameter_jacobian,
@@ -173,19 +173,22 @@ class LinearisedModel:
 
 
 def linearise(
-    point: OperatingPoint, clip: float = CLIP, near: LinearisedModel | None = None, scattered: Floats | None = None
+    point: OperatingPoint,
+    clip: float = CLIP,
+    nearby_model: LinearisedModel | None = None,
+    scattered: Floats | None = None,
 ) -> LinearisedModel:
-    """LinearisedModel of an OperatingPoint.
+    """LinearisedModel of an OperatingPoint: residuals of corners and loop closures, and their derivatives.
 
     Cameras, lenses and geometry are its nuisances.
 
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
-    near : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None
+    nearby_model : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None
     scattered : (axes,) m, by which struts scatter beside other effects, taken where that is likelier; or None
     """
     k = point
     if k.seen is not None:
-        pixels, rows = k.pixels(), near.derivatives if near is not None else None
+        pixels, rows = k.pixels(), nearby_model.derivatives if nearby_model is not None else None
         rows = rows if rows is not None and rows.holds_at(k, pixels) else corner_derivatives(k, pixels)
         frames, left = _corner_frames(k, rows, pixels, clip)
         names: list[tuple[str, str | int]] = list(rows.names)
@@ -208,9 +211,9 @@ def linearise(
         names += [("geometry", j) for j in range(p)]
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
-    for i, j in camera_edge_bias_freedoms(tuple(names), k.design) if k.finder else ():
+    for i, j in camera_edge_bias_nuisances(tuple(names), k.design) if k.finder else ():
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
-    at = cube_seat_freedoms(names)
+    at = remounted_cube_pose_nuisances(names)
     for seat in (seat for seat in k.seats if seat.place in at):
         beforehand[at[seat.place], 0] = -seat.numbers() / np.repeat(SEAT, 3)
     if k.axes and k.known is not None:

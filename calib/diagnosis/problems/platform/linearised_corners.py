@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import FINDER, SEAT, Place
+from rig.model.hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from vision import lens
 from vision.bundle.normal_equations_and_corner_jacobians import (
     corner_jacobians,
@@ -119,7 +119,7 @@ def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> t
     return inner, rows
 
 
-def corner_derivatives(point: OperatingPoint, pixels: Floats) -> CornerDerivatives:
+def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> CornerDerivatives:
     """CornerDerivatives at an OperatingPoint that predicts pixels (n, 2) px."""
     o = point.observed.observations
     n, L = len(o), 6 + 6 * len(point.moving)
@@ -155,7 +155,7 @@ def corner_derivatives(point: OperatingPoint, pixels: Floats) -> CornerDerivativ
     gram = np.sum(thread_map(lambda part: part.T @ part, np.array_split(derivatives, PARTS)), axis=0)
     return CornerDerivatives(
         point,
-        pixels,
+        predicted_pixels,
         order,
         edges,
         whitener[order],
@@ -230,22 +230,24 @@ def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
     return local, to_local
 
 
-def camera_edge_bias_freedoms(freedom_names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
-    """Freedoms that are an edge bias of one camera's images.
+def camera_edge_bias_nuisances(
+    nuisance_names: Sequence[tuple[str, str | int]], design: Design
+) -> list[tuple[int, int]]:
+    """Nuisances that are an edge bias of one camera's images, as [(camera's index, nuisance's index)].
 
     Returns [(camera's index, freedom's index)]
     """
     cameras = [camera.name for camera in design.cameras]
-    return [(cameras.index(name), j) for j, (name, what) in enumerate(freedom_names) if what == EDGES]
+    return [(cameras.index(name), j) for j, (name, what) in enumerate(nuisance_names) if what == EDGES]
 
 
-def cube_seat_freedoms(freedom_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
-    """Freedoms of remounted cubes' seats.
+def remounted_cube_pose_nuisances(nuisance_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
+    """Indices of the six nuisances that are the pose of each remounted cube, {cube's place: indices}.
 
     Returns {cube's place: indices of its six freedoms}
     """
     out: dict[str, list[int]] = {}
-    for j, (place, what) in enumerate(freedom_names):
+    for j, (place, what) in enumerate(nuisance_names):
         if what in SEAT_LABELS:
             out.setdefault(place, []).append(j)
     return out

@@ -25,7 +25,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.parameters_covariates_and_markers import Linear
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
+from rig.model.hands_effect_places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
 from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not
@@ -195,7 +195,7 @@ def log_likelihood_ratio_with_tolerances(projection: Projection, sigma: Floats) 
 
 
 def share_not_explained_by_tolerances(
-    model: LinearisedModel, tolerance_effects: ToleranceModel, column: Column, sized: bool
+    model: LinearisedModel, tolerance_effects: ToleranceModel, column: Column, has_unit_coefficient: bool
 ) -> float:
     """Share of a Column's explained chi-square that tolerances do not explain."""
     alone, tolerances = model.linear.project(column), tolerance_effects.projected(model)
@@ -205,7 +205,7 @@ def share_not_explained_by_tolerances(
     )
     right, gram = alone.right - cross @ explained[:, 0], alone.gram - cross @ explained[:, 1:]
     deltas = [
-        (chi2_reduction_at_unit_coefficient if sized else solve_normal_equations)(
+        (chi2_reduction_at_unit_coefficient if has_unit_coefficient else solve_normal_equations)(
             Normal(b[None], G[None], np.diag(alone.gram)[None])
         ).delta_chi2[0]
         for b, G in ((alone.right, alone.gram), (right, gram))

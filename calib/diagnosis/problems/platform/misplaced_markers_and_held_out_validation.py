@@ -26,7 +26,7 @@ from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_freedoms
+from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_nuisances
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     axis_speeds,
@@ -47,7 +47,7 @@ from calib.identify.least_squares_and_robust_fit import (
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model import mechanisms
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames
@@ -340,7 +340,7 @@ def _compared(
 ) -> tuple[CrossValidation, ...]:
     """CrossValidation in each block. order : (F,) in which frames are neighbours, time's where None"""
     F, axes = model.frames, model.point.axes
-    finder = [j for _, j in camera_edge_bias_freedoms(model.nuisances.names, model.point.design)]
+    finder = [j for _, j in camera_edge_bias_nuisances(model.nuisances.names, model.point.design)]
     squares = []
     for held in (before, after):
         corners, closures = held.frames

@@ -42,7 +42,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     refinement_as_it_stands,
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +120,9 @@ class PlatformProblem:
             return refine_at_fixed_repeated_error(
                 operating_point_without_term(fit.refined, number), self.sensitivities, fit.refined.model
             ).model
-        return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number), near=fit.refined.model)
+        return linearise(
+            k.with_effects(e for i, e in enumerate(k.effects) if i != number), nearby_model=fit.refined.model
+        )
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""

@@ -25,21 +25,16 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     Tolerable,
     Value,
-    onset_time_value,
+    onset_time_with_interval,
     require_assumed_effects_testable,
     value_with_interval_cut_at_bounds,
-)
-from calib.diagnosis.problems.platform.alternatives_of_findings import (
-    add_temperature_effects_as_alternatives_of_findings,
-    separate_findings_within_tolerances,
-    widen_intervals_by_temperature_logs_and_tolerances,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, platform_candidates
 from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
     operating_point_of_recording,
-    operating_point_without_distant_corners,
+    remove_corners_far_from_prediction,
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
@@ -52,6 +47,11 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
+from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
+    add_temperature_effects_as_alternatives_of_findings,
+    separate_findings_within_tolerances,
+    widen_intervals_by_temperature_logs_and_tolerances,
+)
 from calib.diagnosis.problems.pose_noise_excess import (
     PoseResiduals,
     noise_covariance_by_kind,
@@ -71,7 +71,7 @@ from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
-from rig.model.hands_places_and_tolerances import PLACES
+from rig.model.hands_effect_places_and_tolerances import PLACES
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
@@ -106,7 +106,7 @@ class PlatformEvidence:
         return _find_outliers(self.point, self.covariance)
 
     def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotTested]]:
-        point = operating_point_without_distant_corners(_without_outliers(self.point, outliers))
+        point = remove_corners_far_from_prediction(_without_outliers(self.point, outliers))
         candidates, not_tested = platform_candidates(point, self.requested)
         return PlatformProblem(
             point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_tested)
@@ -231,7 +231,9 @@ class PlatformEvidence:
             if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
                 value = getattr(effect, p.name)
                 out[p.name] = (
-                    Value(value, p.unit) if p.role == "choice" else onset_time_value(refined.point.t, value, origin)
+                    Value(value, p.unit)
+                    if p.role == "choice"
+                    else onset_time_with_interval(refined.point.t, value, origin)
                 )
         return out
 

@@ -31,7 +31,7 @@ from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
@@ -144,7 +144,7 @@ def axis_elongation_inner_products(model: LinearisedModel) -> FrameProducts:
 
 
 def corner_displacement_normal_equations_by_frame(model: LinearisedModel, pixels: Floats) -> FrameProducts:
-    """Inner products (FrameProducts) of corner displacements (n, 2, a) px, frame by frame.
+    """Normal equations (FrameProducts), frame by frame, of candidates that displace corners, (n, 2, a) px.
 
     The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them
     first.

@@ -48,18 +48,20 @@ class _Released:
 def screened_alternatives(
     refinement: Refinement,
     terms: Sequence[PlatformCandidate],
-    without: list[LinearisedModel],
+    models_without_term: list[LinearisedModel],
     candidates: list[PlatformCandidate],
     sensitivities: Sensitivities,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[list[PlatformCandidate]]:
     """For each term of a Refinement, the candidates that may explain as much in its place.
 
-    Only what acts on axes is screened out. terms : of its effects, in order; without : models without each; candidates
-    : the terms among them; sensitivities : at its OperatingPoint
+    Only what acts on axes is screened out. terms : of its effects, in order; models_without_term : models without each;
+    candidates : the terms among them; sensitivities : at its OperatingPoint
     """
     full = refinement.marginalised
-    explained = _explained_in_place(full, candidates, sensitivities, _released(refinement, full, without), progress)
+    explained = _explained_in_place(
+        full, candidates, sensitivities, _released(refinement, full, models_without_term), progress
+    )
     numbers = {id(candidate): number for number, candidate in enumerate(candidates)}
     own = explained[[numbers[id(term)] for term in terms], range(len(terms))]
     least = np.where(np.isfinite(own), SCREENED * own, -np.inf)

@@ -32,8 +32,8 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
     linearise,
 )
 from calib.diagnosis.problems.platform.linearised_corners import (
-    camera_edge_bias_freedoms,
-    cube_seat_freedoms,
+    camera_edge_bias_nuisances,
+    remounted_cube_pose_nuisances,
     repeated_corner_error,
     split_rows_by_frame_bases,
 )
@@ -47,7 +47,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     conserved_coordinate_sums,
     cost_of_priors,
     effects_with_coordinates,
-    prior_precision,
+    inverse_prior_standard_deviation,
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
@@ -191,7 +191,10 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
     else:
         by = {p.name: p for p in score.candidate.kind.parameters_at(score.candidate.place)}
         priors = np.array(
-            [prior_precision(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear]
+            [
+                inverse_prior_standard_deviation(by[name], index) if name in by else 0.0
+                for name, index, _ in score.candidate.spec.linear
+            ]
         )
         low, high = coefficient_bounds(score.candidate.spec)
         new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
@@ -237,28 +240,28 @@ def operating_point_without_term(refinement: Refinement, number: int) -> Operati
 
 
 def refine_operating_point(
-    point: OperatingPoint, sensitivities: Sensitivities, near: LinearisedModel | None = None
+    point: OperatingPoint, sensitivities: Sensitivities, nearby_model: LinearisedModel | None = None
 ) -> Refinement:
     """Refine an operating point.
 
     Cameras, geometry, poses and the admitted effects' parameters together.
 
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
-    loosens them. near : as `linearise` takes it
+    loosens them. nearby_model : as `linearise` takes it
     """
-    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities, near)
+    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities, nearby_model)
     left = repeated_corner_error(refined.point)
     return refine_at_fixed_repeated_error(replace(refined.point, standing=left), sensitivities) if left else refined
 
 
 def refine_at_fixed_repeated_error(
-    point: OperatingPoint, sensitivities: Sensitivities, near: LinearisedModel | None = None
+    point: OperatingPoint, sensitivities: Sensitivities, nearby_model: LinearisedModel | None = None
 ) -> Refinement:
     """Refine an operating point with the repeated error of standing corners fixed.
 
-    near : as `linearise` takes it
+    nearby_model : as `linearise` takes it
     """
-    model, far = linearise(point, CLIP, near), True
+    model, far = linearise(point, CLIP, nearby_model), True
     for _ in range(MAX_ITERATIONS):
         model = _model_with_fitting_clip(model) if far else model
         coordinates, column = effect_parameter_directions(model, sensitivities)
@@ -386,9 +389,9 @@ def _apply(
         matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
     finder = list(k.finder or [0.0] * len(cameras))
-    for i, j in camera_edge_bias_freedoms(model.nuisances.names, k.design):
+    for i, j in camera_edge_bias_nuisances(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
-    own = cube_seat_freedoms(model.nuisances.names)
+    own = remounted_cube_pose_nuisances(model.nuisances.names)
     seats = tuple(
         type(s).of_numbers(s.place, s.numbers() + freedoms[own[s.place]]) if s.place in own else s for s in k.seats
     )

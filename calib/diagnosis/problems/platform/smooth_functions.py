@@ -21,7 +21,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import warp_columns
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time

@@ -3,11 +3,9 @@
 A coarse spectrum of all directions, then the exact score near its peak.
 """
 
-from typing import cast
-
 import numpy as np
 import scipy
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import fft
 
 from calib.diagnosis.engine.candidate_score import Score
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
@@ -19,7 +17,7 @@ from calib.diagnosis.engine.reduced_least_squares import (
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, PlatformScore
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Booleans, Floats, Integers
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
 ALIAS = 0.25  # of the spectral window's height from which a frequency mirrors a slow one
@@ -31,6 +29,7 @@ PEAKS = 6  # frequencies that are looked at closely
 SHOWN = 0.2  # of what a frequency explains, that a coarse spectrum shows at least: 0.38 by its bins, less by weights
 TICK = 1e-4  # s, to which exposures' times are compared
 ROUNDS = 30  # of one factor after the other; each brings them nearer
+COMB = 4096  # times of one short transform of the coarse spectrum; a power of two
 SOFT = 1e-9  # of a direction's power, added so that those that move nothing can be solved for
 
 
@@ -143,8 +142,30 @@ def _solved(matrices: Floats, right: Floats, rcond: float = 1e-15) -> Floats:
 
 def _bins(length: float, high: float) -> tuple[int, float]:
     """(how many, s of one) of the times on which the coarse spectrum stands."""
-    bins = next_fast_len(int(np.ceil(max(length, 1 / OVERSAMPLED) * high * FREQUENCIES)), real=True)
+    bins = max(1, int(np.ceil(max(length, 1 / OVERSAMPLED) * high * FREQUENCIES / COMB))) * COMB
     return bins, length * OVERSAMPLED / bins
+
+
+def power_at_sparse_times(series: Floats, at: Integers, bins: int) -> Floats:
+    """(bins // 2 + 1,) sum of squares of the discrete Fourier transforms of series (s, F) at few of `bins` times.
+
+    at : (F,) bin of each value; bins : a multiple of COMB. The frequencies a + A b, A = bins / COMB, of one a are one
+    transform of COMB times of the series turned by a: many short ones stay in the processor's cache. Single precision.
+    """
+    apart, order = bins // COMB, np.argsort(at % COMB)
+    teeth, first = np.unique(at[order] % COMB, return_index=True)
+    turns = np.arange(apart // 2 + 1)
+    turned = np.exp(-2j * np.pi / bins * np.outer(turns, at[order])).astype(np.complex64)
+    square = np.zeros((len(turns), COMB), np.float32)
+    for one in series[:, order].astype(np.float32):
+        comb = np.zeros(square.shape, np.complex64)
+        comb[:, teeth] = np.add.reduceat(turned * one, first, axis=1)
+        parts = fft(comb, axis=1, overwrite_x=True).view(np.float32)
+        parts *= parts
+        square += parts[:, ::2]
+        square += parts[:, 1::2]
+    mirrored = square[(apart - 1) // 2 : 0 : -1, : COMB // 2 - 1 : -1]  # of real series: what of a is, of A - a
+    return np.append(np.concatenate([square[:, : COMB // 2], mirrored]).ravel("F"), square[0, COMB // 2])
 
 
 def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tuple[Floats, Floats, Floats]:
@@ -162,10 +183,8 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
-    series = [np.bincount(at, weights=one, minlength=bins)[:bins] for one in (*(beta @ half).T, np.ones(len(t)))]
-    found = rfft(np.array(series, np.float32), overwrite_x=True)
-    square = found.real**2 + found.imag**2
-    return 2 * square[:-1].sum(axis=0), np.sqrt(square[-1]) / len(t), cast(Floats, np.fft.rfftfreq(bins, step))
+    window = np.sqrt(power_at_sparse_times(np.ones((1, len(t))), at, bins)) / len(t)
+    return 2 * power_at_sparse_times((beta @ half).T, at, bins), window, np.arange(bins // 2 + 1) / (bins * step)
 
 
 def _mirrors_of_slow_changes(spectrum: Floats, window: Floats, length: float, high: float) -> Booleans:

@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.command_timing_and_pose_error_map import Pace
 from calib.correction.physics_compensation import Physics
+from calib.correction.timed_command_sequence_and_pose_error_map import Pace
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import start_arm_of_fit

@@ -12,7 +12,7 @@ from calib.models.platform.optimal_calibration_poses import (
     CRITERIA,
     FILL,
     choose_d_optimal_configurations,
-    closing_commands_and_whitened_parameter_rows,
+    solvable_commands_and_whitened_jacobians,
 )
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
@@ -45,10 +45,10 @@ def test_each_criterion_is_best_at_its_own(chosen):
 def test_no_single_exchange_pays_any_more(chosen, design):
     """What the exchange ends in is an optimum among its candidates: tried anew by brute force at one place."""
     found = chosen["determinant"]
-    _, chosen_rows = closing_commands_and_whitened_parameter_rows(found.commands[1:], design.mechanism, SIGMAS)
+    _, chosen_rows = solvable_commands_and_whitened_jacobians(found.commands[1:], design.mechanism, SIGMAS)
     base = chosen_rows.reshape(-1, 42)
     spread = configuration_generators.sobol_configurations(design.mechanism.strut_range, CANDIDATES, FILL, 0)[:400]
-    _, others = closing_commands_and_whitened_parameter_rows(spread, design.mechanism, SIGMAS)
+    _, others = solvable_commands_and_whitened_jacobians(spread, design.mechanism, SIGMAS)
     now = np.linalg.slogdet((found.root * PLAUSIBLE).T @ (found.root * PLAUSIBLE))[1]
     best = max(np.linalg.slogdet(base.T @ base + rows.T @ rows)[1] for rows in others)
     assert best <= now + 0.01

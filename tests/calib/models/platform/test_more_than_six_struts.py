@@ -72,10 +72,12 @@ def test_a_platform_rests_where_its_elastic_struts_balance(struts):
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     pushes = force[..., None] * along
     assert np.abs(pushes.sum(axis=1)).max() < 1e-9 and np.abs(np.cross(ends, pushes).sum(axis=1)).max() < 1e-9
-    np.testing.assert_allclose(redundant_struts.conflict(T, lengths, m), force, atol=1e-9)
+    np.testing.assert_allclose(redundant_struts.incompatible_strut_length_component(T, lengths, m), force, atol=1e-9)
     assert size > 1e-4
     seen = poses(sprung_platforms.in_own_axes(rows, 10 * POSE * rng.normal(size=rows.shape)))
-    np.testing.assert_allclose(redundant_struts.conflict(seen, lengths, m), force, atol=4e-6)  # which poses do not move
+    np.testing.assert_allclose(
+        redundant_struts.incompatible_strut_length_component(seen, lengths, m), force, atol=4e-6
+    )  # which poses do not move
     even = evenly_spread_configurations(m, 64)
     assert bears(true, even[:8])[0] < 1e-9 and not hexapod.signed_limit_excess(even, m).any()
 
@@ -214,7 +216,9 @@ def test_what_more_struts_do_not_take_is_refused_with_a_reason(tmp_path):
     with pytest.raises(RigError, match="grid moves all axes independently"):
         build_plan(design, "grid:2")
     ladder = build_plan(design, "ladder:2").commands.values
-    np.testing.assert_allclose(redundant_struts.conflict(hexapod.forward(ladder, m), ladder, m), 0, atol=2e-7)
+    np.testing.assert_allclose(
+        redundant_struts.incompatible_strut_length_component(hexapod.forward(ladder, m), ladder, m), 0, atol=2e-7
+    )
     (planned,) = command_unit_mistakes(Commands(np.arange(len(ladder)) * 1.0, ladder), design)
     assert "l3 and l8" in planned.what and not planned.spoils
     read = ladder + np.eye(8)[2] * 1e-4

@@ -13,7 +13,7 @@ from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS
 
 @pytest.mark.parametrize("name", ARMS)
 def test_every_branch_is_read_joint_by_joint_and_returns_to_zero(name):
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS[name])
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(ARMS[name])
     T = mechanism.forward(np.random.default_rng(3).uniform(-2.5, 2.5, (12, 6)), ARMS[name])
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     zero = six.hand + (six.key - six.hand[0])
@@ -42,7 +42,7 @@ def test_the_points_of_a_branch_are_hand_worked():
     """A UR10 stretched along x at zero: the elbow E one upper arm out, D on axis 4 one forearm on, A at the crossing of
     axes 5 and 6.
     """
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(UR10)
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(UR10)
     steps = arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(
         mechanism.forward(np.zeros(6), UR10), six, np.zeros(6)
     )
@@ -73,7 +73,7 @@ def test_forward_by_points_is_the_chain(arm):
 
 
 def test_singular_poses_take_what_the_solution_has():
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS["puma"])
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(ARMS["puma"])
     q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
     T = mechanism.forward(q, ARMS["puma"])
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six, free_joint_values=q)

@@ -68,7 +68,7 @@ def check(six, q):
 
 
 def test_the_frame_stands_at_the_crossing_of_the_first_axes():
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA)
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(PUMA)
     np.testing.assert_allclose(six.axes[:2], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
     np.testing.assert_allclose([six.frame.translation[2], six.points[1] @ six.points[1]], [0.6718, 0], atol=1e-15)
     np.testing.assert_allclose(six.hand[1:] - six.hand[0], [[0, 0, 1], [0, 1, 0]], atol=1e-15)
@@ -78,7 +78,7 @@ def test_the_frame_stands_at_the_crossing_of_the_first_axes():
 def test_every_branch_returns_and_none_is_missed(name):
     rng = np.random.default_rng(1)
     closure, missed, found = check(
-        closed_form_and_numerical_arm_inverse.six_joint_arm(ARMS[name]),
+        closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(ARMS[name]),
         near_singular(rng.uniform(-np.pi, np.pi, (4000, 6)), rng),
     )
     assert closure.max() < 1e-11 and not missed.any() and not found.reason.any()
@@ -88,7 +88,7 @@ def test_every_branch_returns_and_none_is_missed(name):
 def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
     """Those that the numeric solver finds from many starts are exactly these."""
     q = np.random.default_rng(2).uniform(-2, 2, (5, 6))
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(OFFSET)
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(OFFSET)
     T = mechanism.forward(q, OFFSET)
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     for i in range(5):
@@ -103,7 +103,7 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
 
 
 def test_singular_poses_are_named():
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA)
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(PUMA)
     stretched = -np.arctan2(0.0203, 0.4318) + HALF  # elbow, upper arm and wrist in one line
     q = np.tile([0.3, 0.4, 0.5, 0.6, 0.7, 0.8], (4, 1))
     q[[1, 3], 4], q[2:, 2] = 0, -stretched
@@ -117,7 +117,7 @@ def test_singular_poses_are_named():
 
 
 def test_a_free_joint_takes_what_is_near():
-    six = closed_form_and_numerical_arm_inverse.six_joint_arm(PUMA)
+    six = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(PUMA)
     q = np.array([0.3, 0.4, 0.5, 0.6, 0.0, 0.8])
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(
         mechanism.forward(q, PUMA), six, free_joint_values=q
@@ -139,7 +139,7 @@ def test_poses_out_of_reach_say_why(position, reason):
     matrix[:3, 3] = position
     T = type(mechanism.forward(np.zeros(6), bare)).from_matrix(matrix)
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(
-        T, closed_form_and_numerical_arm_inverse.six_joint_arm(bare)
+        T, closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(bare)
     )
     assert not found.exists.any() and reason in found.why(0)
 
@@ -154,4 +154,4 @@ def test_poses_out_of_reach_say_why(position, reason):
 )
 def test_arms_without_a_closed_form_are_told_what_misses(arm, words):
     with pytest.raises(RigError, match=words):
-        closed_form_and_numerical_arm_inverse.six_joint_arm(arm)
+        closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(arm)

@@ -20,7 +20,7 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, Scene, image_plane_figure, view_3d_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, page_html
 from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
-from rig.report.verdict_and_display import State, Verdict
+from rig.report.verdict_refutations_and_result_display import State, Verdict
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():
@@ -95,7 +95,7 @@ def test_words_stay_within_their_figure():
 
 def test_whole_numbers_have_whole_ticks():
     assert (
-        axis_scale_of_values(np.array([1.0]), (0, 1), whole=True).ticks == [1.0]
+        axis_scale_of_values(np.array([1.0]), (0, 1), are_whole_numbers=True).ticks == [1.0]
         and 1.2 in axis_scale_of_values(np.array([1.0]), (0, 1)).ticks
     )
     assert ">1.5</text>" not in plot_panel_svg(

@@ -153,7 +153,7 @@ def worst_state(states: Sequence[State]) -> State:
 
 
 def exit_status(verdict: Verdict) -> int:
-    """Exit status of a command that examines an earlier result.
+    """Exit status by the verdict on an earlier result: REFUTED where it is bad, else 0.
 
     REFUTED where the verdict is bad, else 0.
     """

@@ -1,4 +1,4 @@
-"""Alternatives of findings: tolerances and temperatures.
+"""Alternatives of a platform's findings: errors within tolerances, and temperature effects.
 
 Findings no larger than tolerances may cause are separated as remarks; temperature effects, where a temperature log is
 missing or wrong, are added to the alternatives.
@@ -47,7 +47,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.model.hands_places_and_tolerances import AXES, STILL, Place
+from rig.model.hands_effect_places_and_tolerances import AXES, STILL, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(

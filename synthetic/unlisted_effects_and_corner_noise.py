@@ -16,10 +16,10 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.parameters_covariates_and_markers import Markers, replace_marker_columns
+from rig.effects.framework.parameters_covariates_and_markers import Markers, markers_with_replaced_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
-from rig.model.hands_places_and_tolerances import Place
+from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import exp, transform_points
@@ -188,7 +188,7 @@ class UnevenPrint(Effect):
     places: ClassVar = ("markers",)
 
     def attach(self, markers: Markers) -> Markers:
-        return replace_marker_columns(markers, side=markers.side * (1 + np.asarray(self.scales)))
+        return markers_with_replaced_columns(markers, side=markers.side * (1 + np.asarray(self.scales)))
 
 
 def _course(course: tuple[float, ...], t: Floats, size: int) -> Floats:

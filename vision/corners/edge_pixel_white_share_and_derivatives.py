@@ -1,4 +1,4 @@
-"""Predicted white share of a strip.
+"""Predicted white share of edge pixels of a square, with derivatives, a strip (batch) of pixels at a time.
 
 At a strip of a square's edge pixels, with its derivatives.
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.kernels_and_predicted_cell import (
+from vision.corners.numba_kernels_and_cell_white_share import (
     NODES,
     SKEW,
     SPAN,
@@ -145,7 +145,7 @@ def _single(
 @inlined_kernel
 def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
-    vision/corners/kernels_and_predicted_cell.py.
+    vision/corners/numba_kernels_and_cell_white_share.py.
     """
     x, y, lines, levels, looks, slope = pixels.x, pixels.y, pixels.i, pixels.j, pixels.looks, seen.slope
     g = seen.g.astype(np.float32)

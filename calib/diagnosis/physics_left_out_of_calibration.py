@@ -43,7 +43,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes
 from rig.recording.recording_folder import Recording
-from rig.report.verdict_and_display import State, refutations_of_file
+from rig.report.verdict_refutations_and_result_display import State, refutations_of_file
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
 NOT_SEARCHED = "it was not searched for unmodelled effects"

@@ -1,4 +1,4 @@
-"""Timing of commands (Route), and map of pose errors.
+"""Timed sequence of commands (Route), and map of pose errors over pose space.
 
 A Route times a sequence of commands; the map in pose space gives the pose to request.
 

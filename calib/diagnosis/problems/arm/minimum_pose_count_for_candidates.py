@@ -14,21 +14,35 @@ ROOM = 3  # rows that are left for each number of a candidate, where a fold is h
 LEAST = 20  # poses: five stretches of four, fewer of which cannot gain by as many standard errors as a finding takes
 
 
-def most_parameters_of_candidate(poses: int, k: int, freedoms: int, whole: bool) -> int:
+def most_parameters_of_candidate(
+    poses: int, values_per_pose: int, geometry_parameters: int, moves_whole_hand: bool
+) -> int:
     """Most parameters that a candidate may have.
 
     Of each, ROOM rows are left to the geometry's freedoms in every fold.
-    poses : that are fitted; k : numbers measured of each; freedoms : of the geometry; whole : whether the candidate
-    moves the hand itself, of which a pose tells k numbers, and not one joint, of which it tells one
+    poses : that are fitted; values_per_pose : numbers measured of each; geometry_parameters : how many are fitted
+    moves_whole_hand : whether the candidate moves the hand itself, of which a pose has values_per_pose values, and not
+    one joint, of which it has one
     """
     held = int(np.bincount(time_stretch_folds(poses, STRETCHES) % FOLDS).max())
-    return int((poses - held - freedoms / k) * (k if whole else 1) / ROOM)
+    return int(
+        (poses - held - geometry_parameters / values_per_pose) * (values_per_pose if moves_whole_hand else 1) / ROOM
+    )
 
 
-def least_poses(k: int, freedoms: int, numbers: int = 1, whole: bool = False, start: int = LEAST) -> int:
-    """Least count of poses that a candidate needs: for so many numbers, counted up from start."""
+def minimum_pose_count(
+    values_per_pose: int,
+    geometry_parameters: int,
+    candidate_parameters: int = 1,
+    moves_whole_hand: bool = False,
+    start: int = LEAST,
+) -> int:
+    """Least count of poses that a candidate needs: with so many parameters, counted up from start."""
     count = start
-    while most_parameters_of_candidate(count, k, freedoms, whole) < numbers:
+    while (
+        most_parameters_of_candidate(count, values_per_pose, geometry_parameters, moves_whole_hand)
+        < candidate_parameters
+    ):
         count += 1
     return count
 
@@ -41,7 +55,7 @@ def require_enough_poses(samples: Samples, design: Design) -> None:
         k = 6 if samples.measured == "pose" else 3
         names = independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names
         freedoms = len(names) - (0 if k == 6 else 3)
-    least = least_poses(k, freedoms)
+    least = minimum_pose_count(k, freedoms)
     if len(samples) < least:
         raise NotEnoughData(
             f"{len(samples)} poses are too few to diagnose an arm or a chain: minimum {least} for {freedoms} numbers "
