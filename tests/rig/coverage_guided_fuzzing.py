@@ -10,7 +10,7 @@ with atheris.instrument_imports(
     include=[
         "rig.driving.protocols",
         "rig.driving.request_and_answer_exchange_with_controller",
-        "rig.driving.emulators.own_strut_protocol",
+        "rig.driving.emulators.native_strut_protocol",
         "rig.driving.emulators.controller_emulator",
     ]
 ):

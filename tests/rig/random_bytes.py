@@ -9,11 +9,11 @@ import numpy as np
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes
-from rig.driving.emulators.own_strut_protocol import Struts as EmulatedStruts
+from rig.driving.emulators.native_strut_protocol import Struts as EmulatedStruts
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
-from rig.driving.protocols.own_strut_protocol import Struts
+from rig.driving.protocols.native_strut_protocol import Struts
 from rig.driving.protocols.protocol_bases import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import MotionError

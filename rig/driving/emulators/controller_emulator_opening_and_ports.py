@@ -22,7 +22,7 @@ from rig.driving.emulators.epics import EpicsMotors
 from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
-from rig.driving.emulators.own_strut_protocol import Struts
+from rig.driving.emulators.native_strut_protocol import Struts
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_numbers

@@ -12,7 +12,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_address_and_urgent_stop import motor_record_stop_message
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
-from rig.driving.protocols.own_strut_protocol import NUMBERS
+from rig.driving.protocols.native_strut_protocol import NUMBERS
 from rig.driving.protocols.protocol_bases import (
     POLL,
     TRIES,

@@ -13,7 +13,7 @@ from rig.driving.protocols.epics import Epics
 from rig.driving.protocols.gcs import GCS, GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
-from rig.driving.protocols.own_strut_protocol import Struts
+from rig.driving.protocols.native_strut_protocol import Struts
 from rig.driving.protocols.protocol_bases import Dialogue, LineProtocol, Protocol, State, Verdict, state_problem
 from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, missing_member, user_class_error
 from rig.errors import ControllerFault, FileError

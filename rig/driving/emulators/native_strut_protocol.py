@@ -1,4 +1,4 @@
-"""Emulated firmware of our own strut protocol.
+"""Emulated firmware of the native strut protocol of this project.
 
 As docs/protocol.md states it, sound or with faults.
 """
@@ -12,7 +12,7 @@ from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator import Emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
-from rig.driving.protocols.own_strut_protocol import NM, VERSION
+from rig.driving.protocols.native_strut_protocol import NM, VERSION
 
 
 class Struts(Emulator):

@@ -1,4 +1,4 @@
-"""Our own strut protocol.
+"""Native strut protocol of this project.
 
 As docs/protocol.md states it: numbered frames with checksum, watchdog, single execution.
 """
