@@ -47,6 +47,7 @@ from calib.models.arm.joint_space_correction_and_claim import (
 )
 from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
 from calib.models.chain import certification_and_page as chain_certification
+from calib.models.chain.configuration_space_correction import chain_correction_summands
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
@@ -185,6 +186,7 @@ class CalibrationResult(OneLineRepr):
             "clocks": [one.tree() for one in self.clocks],
             "confounds": confounds and confounds.tree(),
             "pointing_terms": None if self.pointing_terms is None else self.pointing_terms.tree(),
+            "lost_vertices": [] if self.extended is None else self.extended.lost.tolist(),
             "verdict": self.verdict.tree(),
         }
 
@@ -209,6 +211,8 @@ class CalibrationResult(OneLineRepr):
             if samples.measured in arm_certification.UNPLACED:
                 raise RigError(arm_certification.UNPLACED[samples.measured])
             found = commanded_minus_joint_values_by_stated_arm(samples, nominal)
+        elif nominal.bodies:
+            found = chain_correction_summands(samples, nominal, samples.total_covariance())
         else:
             found = strut_correction_summands(samples, nominal)
         write_table(
@@ -218,7 +222,7 @@ class CalibrationResult(OneLineRepr):
 
 def has_axis_correction_summands(design: Design) -> bool:
     """Whether a design's machine has correction summands, one per axis (ksf.csv)."""
-    return not design.mechanism.bodies and not hand_names(design.mechanism)
+    return not hand_names(design.mechanism)
 
 
 def calibrate(

@@ -60,9 +60,11 @@ from calib.files.mechanism_and_physics_entries import mechanism_dict
 from calib.models.arm import joint_space_correction_and_claim as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
+from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_claim
+from calib.models.chain.configuration_space_correction import certify_extended_chain, single_step_chain_errors
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
-from rig.array_and_json_types import Booleans, Json
+from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import NotEnoughData, RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
@@ -73,6 +75,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     has_links,
     is_redundant,
     require_arm,
+    require_chain,
     require_parallel,
 )
 from rig.model.pose import pose_difference
@@ -264,10 +267,10 @@ class ExtendOptions:
             )
         if self.onto is None:
             return
-        if design.mechanism.link_rows is not None:
+        if design.mechanism.link_rows is not None or design.mechanism.bodies:
             raise RigError(
-                "--onto adds a pass to a calibration of struts; an arm's is extended in one step, by all of "
-                "its recordings"
+                "--onto adds a pass to a calibration of struts; an arm's or a chain's is extended in one step, by all "
+                "of its recordings"
             )
         struts = require_parallel(design.mechanism)
         if mechanism_dict(self.onto.correction.nominal) != mechanism_dict(struts):
@@ -281,12 +284,12 @@ class ExtendOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendedCorrection:
-    """done : Certified, of struts or of an arm; tried : Tried of each way; claim : Claim; provenance : what is recorded
-    of a pass; misses : (RMS, greatest) of the single step; unit : of an axis, m or rad; base : what the extension
-    stands on, in words
+    """done : Certified, of struts, an arm or a chain; tried : Tried of each way; claim : Claim; provenance : what is
+    recorded of a pass; misses : (RMS, greatest) of the single step; unit : of an axis, m or rad; base : what the
+    extension stands on, in words
     """
 
-    done: Certified | ArmCertified
+    done: Certified | ArmCertified | CertifiedChain
     tried: tuple[Tried, ...]
     claim: Claim
     provenance: Json
@@ -294,13 +297,18 @@ class ExtendedCorrection:
     unit: str
     base: str
 
+    @property
+    def lost(self) -> Floats:
+        """(k, axes) vertices of its grid that were not measured, where corrections are estimated from the others."""
+        return next(one.lost for one in self.tried if one.chosen)
+
 
 def certify_correction_extension(
     options: ExtendOptions, design: Design, sampled: Sampled, rng: np.random.Generator, progress: Progress
 ) -> ExtendedCorrection:
-    """ExtendedCorrection of a machine on struts or an arm, certified.
+    """ExtendedCorrection of a machine, certified.
 
-    Raises RigError for a chain, and for a part that bounds nothing
+    Raises RigError for a part that bounds nothing
     """
     samples, ask = sampled.samples, ExtensionRequest(options.method, options.alone)
     base = "the nominal model alone" if options.alone else "the fitted geometry"
@@ -312,6 +320,12 @@ def certify_correction_extension(
         claim = claim_of(samples, of_arm, rng)
         return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
     provenance: Json = {}
+    if design.mechanism.bodies:
+        of_chain, tried = certify_extended_chain(samples, require_chain(design.mechanism), ask, rng, progress)
+        misses = single_step_chain_errors(of_chain.correction, samples.commanded)
+        unit = mechanisms.travel_unit(of_chain.correction.nominal)
+        claim = chain_workspace_claim(samples, of_chain, rng)
+        return ExtendedCorrection(of_chain, tried, claim, provenance, misses, unit, base)
     if options.onto is None:
         done, tried = certify_extended_correction(samples, require_parallel(design.mechanism), ask, rng, progress)
     else:

@@ -50,7 +50,7 @@ from calib.correction import interpolation_methods_and_correction_summand_fields
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples, WeightedField
 from calib.correction.interpolation.gaussian_process import RadialMap
-from calib.correction.interpolation.interpolation_on_grid_of_samples import grid_lattice_of_configurations
+from calib.correction.interpolation.interpolation_on_grid_of_samples import Grid, grid_lattice_of_configurations
 from calib.correction.interpolation_methods_and_correction_summand_fields import (
     correction_with_field,
     fit_correction_summand_field,
@@ -67,8 +67,7 @@ from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, is_redundant
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Parallel, is_redundant
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 
@@ -98,13 +97,15 @@ class ExtensionBasis(NamedTuple):
 
 class Tried(NamedTuple):
     """A way to extend: held_out : HeldOut, or None; reason : why it could not be tried, or not be taken, or None;
-    chosen : whether it was taken.
+    chosen : whether it was taken; lost : (k, axes) vertices of its grid that were not measured, whose values are
+    estimated from the others.
     """
 
     kind: str
     held_out: HeldOut | None
     reason: str | None
     chosen: bool
+    lost: Floats = np.zeros((0, 0))
 
 
 def certify_extended_correction(
@@ -177,7 +178,7 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
 
 def certify_interpolation_method(
     samples: Samples,
-    basis: tuple[Parallel | Arm, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
+    basis: tuple[Commanded, Integers, Any],  # Any: what identified the geometry, of each kind of machine its own
     basis_of_samples: Callable[[Samples], "ExtensionBasis"],
     kind: str,
     rng: np.random.Generator,
@@ -214,8 +215,16 @@ def certify_interpolation_method(
             for name, errors in outcome.after.items()
         }
     )
+    grid = grid_lattice_of_configurations(known.configurations, known.strokes)
     tried = [
-        Tried(name, held.get(name), refusal_reason if auto and name != NONE else None, name == kind) for name in fields
+        Tried(
+            name,
+            held.get(name),
+            refusal_reason if auto and name != NONE else None,
+            name == kind,
+            *([grid.lost] if grid is not None and isinstance(field, Grid) else []),
+        )
+        for name, field in fields.items()
     ]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
@@ -263,7 +272,7 @@ class _Outcome(NamedTuple):
     after: dict[str, Floats]
 
 
-def _splits(samples: Samples, label: Integers, nominal: Parallel | Arm) -> list[tuple[Booleans, Booleans]]:
+def _splits(samples: Samples, label: Integers, nominal: Commanded) -> list[tuple[Booleans, Booleans]]:
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
@@ -278,7 +287,9 @@ def _splits(samples: Samples, label: Integers, nominal: Parallel | Arm) -> list[
     place = np.unravel_index(np.maximum(found.vertex, 0), shape)
     planes = [on & (place[i] == k) for i, count in enumerate(shape) for k in range(1, count - 1)]
     every = max(1, -(-len(planes) // (2 * FOLDS)))
-    return [(on & ~plane, plane) for plane in planes[::every]]
+    limits = axis_travel_limits(nominal)
+    splits = [(on & ~plane, plane) for plane in planes[::every]]
+    return [one for one in splits if grid_lattice_of_configurations(samples.commanded[one[0]], limits) is not None]
 
 
 def _held_out(

@@ -3,19 +3,23 @@
 Source: configuration-space patent, [0052], [0061] (data that comprise the correction values), [0130]
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.correction.correction import AnyCorrection
 from calib.samples.pose_samples import Samples
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
 from rig.planning.configuration_generators import FILL, sobol_configurations
 
+# times the typical; a direction of the axes that a pose tells worse than that, as of a wrist near its singularity,
+# keeps none
+LOOSE = 10.0
+STEPS, SETTLED = 20, 5e-12  # of axis values that meet a pose, in shares of how far the model may be off
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
 
 
@@ -45,6 +49,50 @@ def strut_correction_summands(samples: Samples, nominal: Parallel) -> Correction
         samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
         A @ samples.total_covariance() @ np.swapaxes(A, 1, 2),
     )
+
+
+def summands_by_nearest_axis_values(
+    frame: Integers, values: Floats, model: Callable[[Floats], tuple[Floats, Floats]], covariance: Floats, near: Floats
+) -> CorrectionSummands:
+    """Correction summands of axes at samples: commands less those nearest values at which a model meets the
+    measurements.
+
+    An axis has one only as far as its pose tells it (see LOOSE) and the model is near; what too few axes, or positions
+    alone, or more axes than freedoms leave open takes the least values. Variances of what is not told are those of the
+    worst that is.
+    frame : (n,) numbers; values : (n, axes) m or rad, commanded; model : values -> (measured less predicted (n, k),
+        change of what is predicted (n, k, axes)); covariance : (n, k, k) of what was measured; near : (axes,) m or
+        rad by which the model may be off, and by which the values of different axes are compared
+    Raises RigError naming a frame whose pose the model does not come to
+    """
+    W = np.linalg.inv(np.linalg.cholesky(covariance))
+    left, J = model(values)
+    U, s, Vt = np.linalg.svd(W @ J * near)
+    worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
+    limit = min(LOOSE * float(np.median(worst)), 1.0)
+    x, V = values / near, np.swapaxes(Vt, 1, 2)
+    across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
+    far = np.abs(across @ (W @ left[..., None]))[..., 0]
+    determined = (s * limit >= 1) & (far <= s)
+    across, along = across * determined[..., None], along * determined[:, None]
+    untold = np.eye(s.shape[1]) * ~determined[:, None]
+    for _ in range(STEPS):  # Newton along the directions that are told
+        left, J = model(x * near)
+        rest = across @ W @ np.concatenate([J * near @ along, left[..., None]], axis=2)
+        step = (along @ np.linalg.solve(rest[..., :-1] + untold, rest[..., -1:]))[..., 0]
+        x += step
+        if np.abs(step).max() < SETTLED:
+            break
+    else:
+        worst_of = int(np.abs(step).max(axis=1).argmax())
+        raise RigError(
+            f"frame {frame[worst_of]}: the model does not reach the measured pose near its joint "
+            "values; is it that machine's?"
+        )
+    variances = np.full((len(x), Vt.shape[1]), limit**2)
+    variances[:, : s.shape[1]] = np.where(determined, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
+    own = (V * variances[:, None]) @ np.swapaxes(V, 1, 2)
+    return CorrectionSummands(values - x * near, own * np.outer(near, near))
 
 
 def correction_summand_table_rows(samples: Samples, summands: CorrectionSummands) -> Iterator[str]:

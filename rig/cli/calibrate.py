@@ -148,6 +148,7 @@ def run(arguments: Namespace) -> None:
         print_calibration,
         print_calibration_verdict_errors_and_corrections,
     )
+    from rig.recording.recording_tables import write_configurations
 
     out = arguments.outputs.file(arguments.out)
     _write_kinematics_file(arguments, recordings[0].design.mechanism)
@@ -155,6 +156,8 @@ def run(arguments: Namespace) -> None:
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     separate = page is not None and has_axis_correction_summands(recordings[0].design)
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if separate else None
+    missing = arguments.out.with_name(f"{arguments.out.stem}.lost.csv")
+    plan = arguments.outputs.file(missing) if options.extend is not None and page is not None else None
     result = calibrate(recordings, options, progress, notice_printer(progress))
     calibration_file.write_calibration(out, result.calibration)
     if page:
@@ -169,6 +172,9 @@ def run(arguments: Namespace) -> None:
             print(f"no correction values: {error}")
     arguments.result = result.tree()
     print_calibration(result, arguments.promise)
+    if plan is not None and result.extended is not None and len(result.extended.lost):
+        write_configurations(plan, recordings[0].design.mechanism.axes, result.extended.lost)
+        print(f"written: {missing}, the plan of the vertices without a pose (rig run --plan commands:{missing.name})")
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 

@@ -82,8 +82,9 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
     """A recording of Samples as an instrument's owner would leave it."""
     folder.mkdir()
     sigmas = f"position_sigma = {sigma[0]}\n" + ("" if positions_alone else f"rotation_sigma = {sigma[1]}\n")
+    rows = [["prismatic"] * slide + row for slide, row in zip(nominal.slides.tolist(), nominal.rows.tolist())]
     (folder / "rig.toml").write_text(
-        f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {nominal.rows.tolist()}\n'
+        f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {rows}\n'
         f'limits = {nominal.limits.tolist()}\n[instrument]\nbase = "{base}"\ntool = "{tool}"\n{sigmas}'
     )
     names = POSE_COLUMNS[: 3 if positions_alone else 6]

@@ -1,6 +1,6 @@
 """Interpolation on a grid of samples.
 
-N-linear, or barycentric on the simplices of a cell.
+N-linear, or barycentric on the simplices of a cell. Of a few vertices that were not measured, values are estimated.
 
 The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the ends of its stroke. Source:
 configuration-space patent, [0031], [0032], [0144], [0145].
@@ -13,10 +13,12 @@ configuration-space patent, [0033], [0034]; Kuhn, Some combinatorial lemmas in t
 """
 
 from dataclasses import dataclass, field, replace
-from itertools import product
+from functools import reduce
+from itertools import combinations, product
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
+import scipy
 
 from calib.correction.interpolation.delaunay_and_grid_kernels import (
     Tables,
@@ -36,6 +38,10 @@ from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 SAME = 1e-5  # of the stroke, within which commands are one level: they are written to a tenth of a micrometre
 
 
+LOST = 0.25  # share of a grid's vertices, from which so few are measured that the samples fill no grid
+LEAST = 1e-40  # square of a difference; of values that are affine to rounding, all differences weigh alike
+
+
 class Lattice(NamedTuple):
     """levels : per axis (Q + 1,), ascending; vertex : (n,) number of each sample's vertex, counted in C order, -1 for
     one off the grid.
@@ -44,19 +50,35 @@ class Lattice(NamedTuple):
     levels: tuple[Floats, ...]
     vertex: Integers
 
+    @property
+    def lost(self) -> Floats:
+        """(k, axes) configurations of the vertices at which no sample stands."""
+        shape = tuple(len(level) for level in self.levels)
+        at = np.unravel_index(np.setdiff1d(np.arange(np.prod(shape)), self.vertex), shape)
+        return np.stack([level[i] for level, i in zip(self.levels, at)], axis=1)
+
 
 def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> Lattice | None:
-    """Grid lattice that configurations (n, axes) fill, each vertex at least once.
+    """Grid lattice that configurations (n, axes) fill, all vertices but less than a share LOST.
 
     None where they fill none.
     strokes : (axes, 2), the scale by which levels are told apart
     """
+    tolerance, whole = SAME * np.ptp(strokes, axis=1), 2 ** (len(strokes) - 1)
+    for fewest in (whole, max(whole // 2, 2)):  # samples at a level of a grid, and of one that lost vertices
+        found = _lattice(configurations, tolerance, fewest)
+        if found is not None and len(found.lost) < LOST * np.prod([len(level) for level in found.levels]):
+            return found
+    return None
+
+
+def _lattice(configurations: Floats, tolerance: Floats, fewest: int) -> Lattice | None:
+    """Lattice of the levels that at least so many configurations (n, axes) share; None for an axis with fewer than
+    two.
+    """
     n, axes = configurations.shape
-    tolerance = SAME * np.ptp(strokes, axis=1)
-    on, fewest = np.ones(n, bool), 2 ** (axes - 1)
-    for _ in range(
-        axes + 1
-    ):  # a level is one that enough samples share; samples off the grid may first share some by chance
+    on = np.ones(n, bool)
+    for _ in range(axes + 1):  # samples off the grid may first share some levels by chance
         levels = tuple(_levels(configurations[on, i], tolerance[i], fewest) for i in range(axes))
         if any(len(level) < 2 for level in levels):
             return None
@@ -67,9 +89,7 @@ def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> L
         if (now == on).all():
             break
         on = now
-    shape = [len(level) for level in levels]
-    vertex = np.where(on, np.ravel_multi_index(nearest, shape), -1)
-    return Lattice(levels, vertex) if len(np.unique(vertex[on])) == np.prod(shape) else None
+    return Lattice(levels, np.where(on, np.ravel_multi_index(nearest, [len(level) for level in levels]), -1))
 
 
 def _levels(values: Floats, tolerance: float, fewest: int) -> Floats:
@@ -113,9 +133,10 @@ class Grid(WeightedField):
 
     @classmethod
     def fit(cls, known: FieldSamples) -> Self:
-        """The field of samples that fill a grid; those beside it are left out, repeats of a vertex averaged.
+        """The field of samples that fill a grid; those beside it are left out, repeats of a vertex averaged, and the
+        values of vertices without a sample estimated from the others.
 
-        Raises RigError where the samples fill no grid
+        Raises RigError where the samples fill no grid, or where vertices are lost that the others do not determine
         """
         found = grid_lattice_of_configurations(known.configurations, known.strokes)
         if found is None:
@@ -127,7 +148,10 @@ class Grid(WeightedField):
                 "accept samples anywhere"
             )
         on = found.vertex >= 0
-        values, variances = average_samples(known.take(on), found.vertex[on])
+        filled, group = np.unique(found.vertex[on], return_inverse=True)
+        values, variances = average_samples(known.take(on), group)
+        if len(found.lost):
+            values, variances = _with_estimates(found, filled, values, variances)
         grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))
         return replace(grid, misfit=_misfit(grid))
 
@@ -157,6 +181,58 @@ class Grid(WeightedField):
     def strides(self) -> Integers:
         """(axes,) by how much a vertex' number grows along each axis."""
         return np.cumprod((1, *self.shape[:0:-1]))[::-1]
+
+
+def _with_estimates(lattice: Lattice, filled: Integers, values: Floats, variances: Floats) -> tuple[Floats, Floats]:
+    """(values, variances), (vertices, outputs) each, of all vertices from those of the filled (k,) ones.
+
+    The others have the values at which differences are the least likely to be seen larger, each kind of difference
+    weighed by its mean square where all its vertices are filled; their variances agree with how well every filled
+    vertex is estimated from the others, and are not below the noise that the estimate takes over.
+    Source: Rue and Held, Gaussian Markov Random Fields, 2005, ch. 2 and 3
+    """
+    count = int(np.prod([len(level) for level in lattice.levels]))
+    lost = np.setdiff1d(np.arange(count), filled)
+    out, square = np.zeros((count, values.shape[1])), np.zeros((count, values.shape[1]))
+    out[filled], square[filled] = values, variances
+    kinds = []
+    for D in _differences(lattice.levels):
+        complete = abs(D[:, lost]).sum(axis=1) == 0
+        if complete.any():
+            kinds.append((D, ((D[complete] @ out) ** 2).mean(axis=0)))
+    for m in range(values.shape[1]):
+        Q = sum(D.T @ D / max(float(size[m]), LEAST) for D, size in kinds).tocsr()
+        own = Q[lost][:, lost].toarray()
+        if np.linalg.matrix_rank(own) < len(lost):
+            raise RigError(
+                f"the grid of {count} vertices lost {len(lost)} that the others do not determine: visit them again"
+            )
+        covariance = np.linalg.inv(own)
+        weights = -covariance @ Q[lost][:, filled]
+        out[lost, m] = weights @ values[:, m]
+        times = float(((Q @ out[:, m])[filled] ** 2 / Q.diagonal()[filled]).mean())
+        square[lost, m] = np.maximum(times * np.diag(covariance), weights**2 @ variances[:, m])
+    return out, square
+
+
+def _differences(levels: tuple[Floats, ...]) -> "list[scipy.sparse.csr_array]":
+    """[(rows, vertices)] divided differences of a grid's values: the second along each axis of three levels or more,
+    and the mixed ones of each pair of axes.
+    """
+    first = [np.diff(np.eye(len(level)), axis=0) / np.diff(level)[:, None] for level in levels]
+    second = {
+        i: np.diff(first[i], axis=0) / ((level[2:] - level[:-2]) / 2)[:, None]
+        for i, level in enumerate(levels)
+        if len(level) > 2
+    }
+    chosen = [{i: D} for i, D in second.items()]
+    chosen += [{i: first[i], j: first[j]} for i, j in combinations(range(len(levels)), 2)]
+    return [
+        reduce(
+            scipy.sparse.kron, [scipy.sparse.csr_array(one.get(i, np.eye(len(x)))) for i, x in enumerate(levels)]
+        ).tocsr()
+        for one in chosen
+    ]
 
 
 def _misfit(grid: Grid) -> Floats:

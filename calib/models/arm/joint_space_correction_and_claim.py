@@ -39,7 +39,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
-from calib.correction.correction_tables import CorrectionSummands
+from calib.correction.correction_tables import CorrectionSummands, summands_by_nearest_axis_values
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit
@@ -68,10 +68,6 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import FILL, sobol_configurations
 
-# times the typical; a direction of the joints that a pose tells worse than that, as of a wrist near its singularity,
-# keeps none
-LOOSE = 10.0
-STEPS, SETTLED = 20, 1e-13  # of joint values that meet a pose, rad or m
 PLACES_HELD = 256  # at which a single step is held against the fixed point, and what is promised is worked out
 
 
@@ -104,45 +100,18 @@ def commanded_minus_joint_values_of_measured_poses(
 
     They are the joint correction summands.
     arm : the model; common_error_draw : (j,) draw of the poses' common errors, taken out
-    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or
-    positions alone, leave open takes the least values, by the poses' covariance. Variances of what is not told are
-    those of the worst that is.
-    Raises RigError naming a frame whose pose the model does not come to
+    Raises RigError as `summands_by_nearest_axis_values`
     """
     o = sample_observations(samples)
-    W = np.linalg.inv(np.linalg.cholesky(o.covariance))
-    U, s, Vt = np.linalg.svd(W @ o.joint_jacobian(arm))
-    worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
-    limit = min(LOOSE * float(np.median(worst)), PLAUSIBLE["rad"])
-    q, away, V = o.q.copy(), np.einsum("mkj,j->mk", o.common, common_error_draw), np.swapaxes(Vt, 1, 2)
-    across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
-    far = np.abs(across @ (W @ (o.residuals(arm) - away)[..., None]))[..., 0]
-    determined = (s * limit >= 1) & (far <= s * PLAUSIBLE["rad"])
-    across, along, untold = (
-        across * determined[..., None],
-        along * determined[:, None],
-        np.eye(s.shape[1]) * ~determined[:, None],
-    )
-    for _ in range(STEPS):  # Newton along the directions that are told
+    away = np.einsum("mkj,j->mk", o.common, common_error_draw)
+
+    def model(q: Floats) -> tuple[Floats, Floats]:
         now = replace(o, q=q)
-        rest = (
-            across
-            @ W
-            @ np.concatenate([now.joint_jacobian(arm) @ along, (now.residuals(arm) - away)[..., None]], axis=2)
-        )
-        step = (along @ np.linalg.solve(rest[..., :-1] + untold, rest[..., -1:]))[..., 0]
-        q += step
-        if np.abs(step).max() < SETTLED:
-            break
-    else:
-        worst_of = int(np.abs(step).max(axis=1).argmax())
-        raise RigError(
-            f"frame {samples.frame[worst_of]}: the model does not reach the measured pose near its joint "
-            "values; is it that machine's?"
-        )
-    variances = np.full((len(q), Vt.shape[1]), limit**2)
-    variances[:, : s.shape[1]] = np.where(determined, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
-    return CorrectionSummands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
+        return now.residuals(arm) - away, now.joint_jacobian(arm)
+
+    return summands_by_nearest_axis_values(
+        samples.frame, o.q, model, o.covariance, np.full(o.q.shape[1], PLAUSIBLE["rad"])
+    )
 
 
 def certify_extended_arm(

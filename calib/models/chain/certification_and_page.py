@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.error_claim_over_workspace import (
@@ -18,6 +19,7 @@ from calib.certification.error_claim_over_workspace import (
     Workspace,
     claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
+    mean_square_pose_errors_of_extension,
 )
 from calib.certification.held_out_errors import (
     HeldErrors,
@@ -121,8 +123,23 @@ def _corrected(nominal: Chain, found: Identified) -> AnyCorrection:
 
 def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     """Covariance (n, 6, 6) of the corrected chain's pose at commands (n, axes) m or rad."""
-    J = error_model_and_identification.parameter_jacobian(commands, calibration.correction.fitted)
-    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+    correction = calibration.correction
+    J = error_model_and_identification.parameter_jacobian(commands, correction.fitted)
+    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+    if correction.extension is None:
+        return covariance
+    axes = mechanism.jacobian(commands, correction.fitted)
+    return covariance + (axes * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(axes, 1, 2)
+
+
+def chain_workspace_values(correction: AnyCorrection, commanded: Floats) -> tuple[Floats, RigidTransform]:
+    """Values (n, axes) m or rad over the middle of every travel, all axes independent, and their poses (n,); where a
+    correction is extended, over the middle of what was commanded (m, axes).
+    """
+    ranges = mechanism.travel_ranges(correction.nominal)
+    if correction.extension is not None:
+        ranges = np.stack([commanded.min(axis=0), commanded.max(axis=0)], axis=1)
+    return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)
 
 
 def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.random.Generator) -> Claim:
@@ -131,24 +148,25 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     retained = samples.take(found.inliers)
     label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
     each = mean_sample_per_configuration(retained, label, mechanism.jacobian(retained.commanded, nominal))
-    words = f"the middle {FILL * 100:.0f} % of every travel, all axes independent"
+    part = "every travel" if certified.correction.extension is None else "the recorded values"
+    words = f"the middle {FILL * 100:.0f} % of {part}, all axes independent"
     requested = int((error_model_and_identification.parameter_tolerances(nominal) > 0).sum())
+    determined = requested - len(found.undetermined) if found.covariance.any() else 0
     information = ConfigurationInformation(
         len(each),
-        requested - len(found.undetermined),
-        requested - len(found.undetermined),
-        requested,
-        "parameters that no pose determines remain as stated",
+        determined,
+        determined,
+        requested if determined else 0,
+        "parameters that no pose determines remain as stated" if determined else "no parameters were fitted",
     )
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(information, words)
-    values, T = solvable_commands_and_poses(
-        sobol_configurations(mechanism.travel_ranges(nominal), PLACES, FILL), certified.correction
-    )
+    values, T = chain_workspace_values(certified.correction, samples.commanded)
+    stated = mean_square_pose_errors_of_extension(certified.correction, values, mechanism.jacobian(values, found.chain))
     own = (
-        (found.scatter**2).reshape(2, 3).sum(axis=1)
+        (found.scatter**2).reshape(2, 3).sum(axis=1) + stated
         if certified.left is None
-        else certified.left.own_draws(0.0, DRAWS, rng)
+        else certified.left.own_draws(float(stated[0]), DRAWS, rng)
     )
     workspace = Workspace(
         error_model_and_identification.parameter_jacobian(values, found.chain),

@@ -198,6 +198,9 @@ def _print_struts(done: platform_certification.Certified, physics: Physics | Non
     _print_physics(physics)
 
 
+LISTED = 8  # vertices that were not measured, at most
+
+
 def _print_extension(found: ExtendedCorrection) -> None:
     """Print what was tried and what was made of it."""
     for one in found.tried:
@@ -211,13 +214,21 @@ def _print_extension(found: ExtendedCorrection) -> None:
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     correction = found.done.correction
     field = correction.extension
-    known = getattr(field, "values", None) if field is not None and field.exact else None
+    count = len(getattr(field, "values", ())) - len(found.lost) if field is not None and field.exact else 0
     for held in correction.posed:
         print(f"a map in pose space: {held.field.kind}")
     print(
         f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {found.base}"
-        + (f"; exact at its {len(known)} samples" if known is not None else "")
+        + (f"; exact at its {count} samples" if count else "")
     )
+    if len(found.lost):
+        print(
+            f"{len(found.lost)} of the grid's {count + len(found.lost)} vertices were not measured; corrections there "
+            "are estimated from the other vertices, and less certain:"
+        )
+        print("\n".join("  " + " ".join(f"{value:.6g}" for value in row) for row in found.lost[:LISTED]))
+        if len(found.lost) > LISTED:
+            print(f"  and {len(found.lost) - LISTED} more")
     rms, most = (f"{value * 1e6:.3f} u{found.unit.replace(' or ', ' or u')}" for value in found.misses)
     print(
         f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, "

@@ -25,13 +25,14 @@ from calib.models.arm.joint_space_correction_and_claim import arm_workspace_clai
 from calib.models.platform.identification import Loops, identify_platform
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
+from rig.model.pose import exp
 from rig.recording import frame_selection_and_content_hashes, recording_folder
 from rig.report.verdict_refutations_and_result_display import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
-from tests.rig.arms import UR10
+from tests.rig.arms import SCARA, UR10
 from tests.truth import draw, record
 from tests.truth.wild import spoilt
 
@@ -177,6 +178,22 @@ def test_an_arms_wild_poses_are_left_out(tmp_path):
         )
         gone = {one.frame for one in found.left_out}
         assert len(gone & set(frames.tolist())) + len(mask.split(",")) * bool(mask) >= len(frames) - 1
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_poses_that_agree_with_no_model_are_no_scatter_of_the_others(tmp_path, seed):
+    """A twentieth of a SCARA's poses off by 4 to 8 standard deviations, some too near to the others to be excluded."""
+    rng = np.random.default_rng(seed)
+    samples = secret_arms.tracked(secret_arms.secret(SCARA, rng), SCARA, 100, rng)
+    wild = rng.permutation(100)[:5]
+    off = np.zeros((100, 6))
+    off[wild] = rng.uniform(4, 8, (5, 1)) * rng.choice([-1, 1], (5, 6)) * np.repeat([2e-5, 1e-4], 3)
+    secret_arms.write(tmp_path / "rec", SCARA, replace(samples, T_base_platform=samples.T_base_platform * exp(off)))
+    found = diagnosis_of(recording_folder.load_recording(tmp_path / "rec"), ["scale_error"])
+    report = diagnosis_report(found)
+    set_aside = {int(frame) for frame in found.selection.fit.arms.frame[found.selection.fit.aside]}
+    assert set_aside and set_aside | {one.frame for one in report.left_out} <= set(wild.tolist())
+    assert names(found) == [] and report.unknown == [] and report.unexplained is None
 
 
 @pytest.mark.parametrize("rounds", [1, 2])

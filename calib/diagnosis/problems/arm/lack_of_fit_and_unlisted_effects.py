@@ -207,13 +207,13 @@ def excess_scatter_over_stated_noise(
 
     repeats : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does
     not, it depends on the covariates that explain some of it, or on nothing known. Where the noise is not stated, only
-    what recurs under one command is beyond it
+    what recurs under one command is beyond it. Poses that agree with no model are no scatter of the others
     """
     recurs = repeats is not None and repeats.p_value < ALPHA
     if fit.arms.assumed and not recurs:
         return []
     depends = ("configuration",) if recurs else tuple(c.name for c in covariates if _explains(c, len(covariates)))
-    used, k = fit.used, fit.left.shape[1]
+    used, k = fit.used & ~fit.aside, fit.left.shape[1]
     fitted = (fit.arms.freedoms.shape[2] + fit.known()) / k  # of each number measured
     found = []
     for part, unit in ((slice(0, 3), fit.arms.unit), (slice(3, 6), "rad")):

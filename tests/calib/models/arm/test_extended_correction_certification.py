@@ -32,7 +32,7 @@ from rig.recording.recording_folder import Poses
 from rig.recording.recording_tables import write_poses
 from tests.calib import secret_arms as worlds
 from tests.cli import command
-from tests.rig.arms import SEVEN, UR10
+from tests.rig.arms import SCARA, SEVEN, UR10
 
 BOX = np.array([0.3, -1.2, 1.4, -0.7, -1.4, 0.2])[:, None] + [-0.15, 0.15]  # rad; all of it bent
 OWN = (2e-6, 1e-5)  # m, rad
@@ -242,3 +242,29 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
         recording_folder.load_recording(tmp_path / "rec").poses.T_base_platform,
     )
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2
+
+
+def test_vertices_without_a_pose_are_listed_and_planned_and_corrected_nearly_as_well(tmp_path, capsys):
+    rig, rng = command(capsys), np.random.default_rng(7)
+    true = worlds.secret(SCARA, rng, 0.3)
+    box = np.array([0.5, 0.9, 0.1, 1.0])[:, None] + np.outer([0.2, 0.2, 0.05, 0.2], [-1, 1])  # elbow bent
+    grid = divided_grid_configurations(box, "2x2x2x2@1")
+    lost = np.sort(rng.permutation(81)[:6])
+    x = np.concatenate([np.delete(grid, lost, axis=0), sobol_configurations(box, 30, 0.9, 8)])
+    worlds.write(tmp_path / "rec", SCARA, samples_at(x, true, sigma=(2e-6, 1e-5)), sigma=(2e-6, 1e-5))
+    output = rig("calibrate", tmp_path / "rec", "--extend", "linear", "--alone", "--out", tmp_path / "c.json")
+    assert "6 of the grid's 81 vertices were not measured" in output and "exact at its 75 samples" in output
+    listed = np.genfromtxt(tmp_path / "c.lost.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(
+        np.stack([listed[f"q{i + 1}"] for i in range(4)], axis=1), grid[lost][np.lexsort(grid[lost].T[::-1])], atol=1e-6
+    )
+    correction = calibration_file.load(tmp_path / "c.json").correction
+    off, bare = (
+        pose_difference(
+            one.predict(grid[lost]),
+            error_model_and_observations.predicted_target_poses(grid[lost] - geared(grid[lost]), true),
+        )[:, :3]
+        for one in (correction, replace(correction, extension=None))
+    )
+    size = [np.sqrt((errors**2).sum(axis=1).mean()) for errors in (off, bare)]
+    assert size[0] < 1.3 * np.sqrt(3) * 2e-6 < 0.3 * size[1]  # as a vertex that was measured
