@@ -16,8 +16,8 @@ from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
 from rig.planning.configuration_generators import FILL, sobol_configurations
 
-# times the typical; a direction of the axes that a pose tells worse than that, as of a wrist near its singularity,
-# keeps none
+# times the typical standard deviation; a direction of the axes that a pose determines worse than that, as of a wrist
+# near its singularity, has no summand
 LOOSE = 10.0
 STEPS, SETTLED = 20, 5e-12  # of axis values that meet a pose, in shares of how far the model may be off
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
@@ -57,9 +57,9 @@ def summands_by_nearest_axis_values(
     """Correction summands of axes at samples: commands less those nearest values at which a model meets the
     measurements.
 
-    An axis has one only as far as its pose tells it (see LOOSE) and the model is near; what too few axes, or positions
-    alone, or more axes than freedoms leave open takes the least values. Variances of what is not told are those of the
-    worst that is.
+    An axis has one only as far as its pose determines it (see LOOSE) and the model is near; what too few axes, or positions
+    alone, or more axes than freedoms leave open takes the least values. Variances of what is not determined are those
+    of the worst that is.
     frame : (n,) numbers; values : (n, axes) m or rad, commanded; model : values -> (measured less predicted (n, k),
         change of what is predicted (n, k, axes)); covariance : (n, k, k) of what was measured; near : (axes,) m or
         rad by which the model may be off, and by which the values of different axes are compared
@@ -75,11 +75,11 @@ def summands_by_nearest_axis_values(
     far = np.abs(across @ (W @ left[..., None]))[..., 0]
     determined = (s * limit >= 1) & (far <= s)
     across, along = across * determined[..., None], along * determined[:, None]
-    untold = np.eye(s.shape[1]) * ~determined[:, None]
-    for _ in range(STEPS):  # Newton along the directions that are told
+    undetermined = np.eye(s.shape[1]) * ~determined[:, None]
+    for _ in range(STEPS):  # Newton along the directions that are determined
         left, J = model(x * near)
         rest = across @ W @ np.concatenate([J * near @ along, left[..., None]], axis=2)
-        step = (along @ np.linalg.solve(rest[..., :-1] + untold, rest[..., -1:]))[..., 0]
+        step = (along @ np.linalg.solve(rest[..., :-1] + undetermined, rest[..., -1:]))[..., 0]
         x += step
         if np.abs(step).max() < SETTLED:
             break

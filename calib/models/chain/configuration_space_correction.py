@@ -61,8 +61,8 @@ def _field_samples(samples: Samples, chain: Chain) -> FieldSamples:
     known, ranges = chain_correction_summands(samples, chain, samples.covariance), mechanism.travel_ranges(chain)
     span = np.ptp(ranges, axis=1)
     back = span[:, None] * np.linalg.pinv(mechanism.jacobian(samples.effective, chain) * span)
-    told = np.einsum("nij,njk,nik->ni", back, samples.covariance, back)
-    variances = np.minimum(told, np.einsum("nii->ni", known.covariance))
+    determined = np.einsum("nij,njk,nik->ni", back, samples.covariance, back)
+    variances = np.minimum(determined, np.einsum("nii->ni", known.covariance))
     return FieldSamples(samples.commanded, known.values, variances, ranges)
 
 
