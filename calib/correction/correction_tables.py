@@ -57,9 +57,9 @@ def summands_by_nearest_axis_values(
     """Correction summands of axes at samples: commands less those nearest values at which a model meets the
     measurements.
 
-    An axis has one only as far as its pose determines it (see LOOSE) and the model is near; what too few axes, or positions
-    alone, or more axes than freedoms leave open takes the least values. Variances of what is not determined are those
-    of the worst that is.
+    An axis has one only as far as its pose determines it (see LOOSE) and the model is near. What too few axes,
+    positions alone, or more axes than freedoms leave open takes the least values. Variances of what is not determined
+    are those of the worst that is.
     frame : (n,) numbers; values : (n, axes) m or rad, commanded; model : values -> (measured less predicted (n, k),
         change of what is predicted (n, k, axes)); covariance : (n, k, k) of what was measured; near : (axes,) m or
         rad by which the model may be off, and by which the values of different axes are compared
