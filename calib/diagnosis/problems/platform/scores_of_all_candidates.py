@@ -256,10 +256,14 @@ def _along_axes(
 
 def _nodes_of_finer_sizes(candidate: PlatformCandidate, best: int) -> list[Node]:
     """The best node of a candidate without linear parameters, among nodes of sizes between its own and the next ones,
-    in the grid's order: so that no hypothesis explains more by which sizes a grid happens to have.
+    in the grid's order: so that no hypothesis explains more by which sizes a grid happens to have. The best node alone
+    where not one number, but none or several, are its size.
     """
     node = candidate.grid[best]
-    (name,) = (p.name for p in candidate.kind.parameters if p.role in SIZED and p.name in node)
+    names = [p.name for p in candidate.kind.parameters if p.role in SIZED and p.name in node]
+    if len(names) != 1:
+        return [node]
+    name = names[0]
     sizes = sorted(other[name] for other in candidate.grid if other | {name: node[name]} == node)
     i, last = sizes.index(node[name]), len(sizes) - 1
     steps = np.arange(max(FINER * (i - 1) + 1, 0), min(FINER * (i + 1), FINER * last + 1))
