@@ -31,7 +31,7 @@ from rig.report.verdict_refutations_and_result_display import (
     judge_evidence,
     result_html,
 )
-from vision.bundle.adjustment_validation_and_determinacy import (
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
     DeterminedUnknowns,
     HeldOut,
     NotHeldOut,

@@ -27,7 +27,7 @@ from rig.recording.combined_recordings import (
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
-    hashes_of_frames,
+    sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
 from vision.recording_adjustment import Measurement
@@ -147,7 +147,7 @@ def require_combinable(recordings: Sequence[Recording]) -> None:
                 f"{recording.folder}: {len(twice)} of {len(of)} frames are in another of the recordings; "
                 "the same pose does not count twice"
             )
-        known |= set(hashes_of_frames(of))
+        known |= set(sorted_hashes_of_frames(of))
 
 
 def _of(progress: Progress, number: int, count: int) -> Progress:

@@ -91,7 +91,7 @@ def _read_out(observed: Observations, design: Design) -> Floats:
 
 
 def observations_with_readout_motion(observed: Observations, design: Design, rates: Rates) -> Observations:
-    """The observations with the motion of the platform until their rows are exposed."""
+    """Observations that carry the platform's motion until the row of each corner is exposed."""
     late = _late(observed, design, rates)[:, None]
     step = late * rates.rate[observed.frame] + late**2 / 2 * rates.curvature[observed.frame]
     return replace(observed, motion=exp(step).as_matrix()[:, :3])

@@ -41,7 +41,7 @@ from rig.model.hands_effect_places_and_tolerances import seen_hand
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
-    hashes_of_frames,
+    sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
@@ -219,5 +219,5 @@ def _held_out_recordings(
                 f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose "
                 "does not count twice"
             )
-        known |= set(hashes_of_frames(of))
+        known |= set(sorted_hashes_of_frames(of))
     return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

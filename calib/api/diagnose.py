@@ -13,7 +13,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import StatedTerms
 from calib.diagnosis.physics_left_out_of_calibration import (
     Refutation,
     refuted_calibrations,

@@ -50,7 +50,7 @@ from calib.samples.confounded_conditions_and_clocks import confound_sentences, c
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
-from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, hashes_of_frames
+from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, sorted_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import (
     Evidence,
@@ -247,7 +247,9 @@ def certificate_provenance(
     for recording in recordings:
         name = recording.folder.resolve().name
         origin = calibration_file.calibration_provenance(recording, (), seed, recording.has_images)
-        content = hashlib.sha256("\n".join(hashes_of_frames(content_hashes_of_frames(recording))).encode()).hexdigest()
+        content = hashlib.sha256(
+            "\n".join(sorted_hashes_of_frames(content_hashes_of_frames(recording))).encode()
+        ).hexdigest()
         inputs[name if name not in inputs else str(recording.folder)] = {
             **origin["inputs_sha256"],
             "exposures": content,

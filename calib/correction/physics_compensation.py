@@ -24,7 +24,7 @@ from rig.errors import NotConverged, RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
-from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity
+from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity_sensor_channels
 from rig.model.design import Actuator, Design, Platform
 from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -129,7 +129,7 @@ class Physics:
 
     def _follows_tilts(self, sensors: Sensors) -> bool:
         """Whether gravity is worked out from tilts, which were logged when this was learnt or are now."""
-        if not self.tilts or has_gravity(sensors.channels):
+        if not self.tilts or has_gravity_sensor_channels(sensors.channels):
             return False
         return {tilt.channel for tilt in self.tilts} <= {*self.channels, *sensors.channels}
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     NO_STATED_TERMS,
     C,
     NotTested,

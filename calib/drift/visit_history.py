@@ -29,7 +29,7 @@ from rig.model.pose import pose_to_entry
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
-    hashes_of_frames,
+    sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
 
@@ -118,7 +118,7 @@ def add_visit_and_judge_change(
         history,
         reference=reference,
         visits=_summed((*history.visits, visit)),
-        data=history.data | set(hashes_of_frames(of)),
+        data=history.data | set(sorted_hashes_of_frames(of)),
     )
     return made, verdict
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.diagnosis.engine.candidate_score import Alternative
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM, C
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, C
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from rig.array_and_json_types import Floats

@@ -54,7 +54,7 @@ from rig.recording.exposures_and_image_files import LARGEST_IMAGE_FILE
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
-    hashes_of_frames,
+    sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
 
@@ -133,7 +133,7 @@ def calibration_provenance(
     return {
         "recording": recording.name,
         "inputs_sha256": files,
-        "data": sorted({*hashes_of_frames(content_hashes_of_frames(recording)), *data}),
+        "data": sorted({*sorted_hashes_of_frames(content_hashes_of_frames(recording)), *data}),
         "arguments": list(arguments),
         "seed": seed,
         "versions": package_versions(),

@@ -23,7 +23,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     Marks,
     content_hashes_of_frames,
     frames_with_known_hashes,
-    hashes_of_frames,
+    sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
@@ -181,7 +181,7 @@ def _new_poses(
         raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
     samples = found.samples.take(chosen)
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
-    return set(hashes_of_frames(marks, fresh)), replace(found, samples=samples), commands
+    return set(sorted_hashes_of_frames(marks, fresh)), replace(found, samples=samples), commands
 
 
 def _require_new_frames(recording: Recording, marks: Marks, known: Sequence[int]) -> None:

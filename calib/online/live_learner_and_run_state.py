@@ -23,8 +23,8 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose_difference
-from vision.reading.camera_and_marker_alarms import Alarm
 from vision.reading.live_measurement_and_corner_refit import Sight
+from vision.reading.live_run_camera_and_marker_alarms import Alarm
 
 LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad measurement, five are a drift
 

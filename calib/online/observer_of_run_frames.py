@@ -47,8 +47,8 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
-from vision.reading.camera_and_marker_alarms import Alarm, Watch
 from vision.reading.live_measurement_and_corner_refit import Live, Sight, sight_from_measuring_limbs
+from vision.reading.live_run_camera_and_marker_alarms import Alarm, Watch
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
 LOGGED = 60  # events that are kept for displays

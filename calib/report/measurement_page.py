@@ -29,7 +29,7 @@ from rig.report.pages.page_templates_and_index_page import Link, Page, write_pag
 from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from vision import frame_pictures
 from vision.api import TWICE, MeasurementResult, measurement_verdict
-from vision.bundle.adjustment_validation_and_determinacy import HeldOut, NotHeldOut
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import HeldOut, NotHeldOut
 from vision.bundle.marker_displacements import Places
 from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
 from vision.reading.marker_identity_and_expected_places import Suspect

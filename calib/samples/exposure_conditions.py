@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.base_and_link_tilts import has_gravity
+from rig.model.base_and_link_tilts import has_gravity_sensor_channels
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 
 
@@ -72,7 +72,7 @@ def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
     weight = Weight(
         design.gravity, design.platform.mass, design.platform.centre_of_mass, design.platform.payload_centre_of_mass
     )
-    stands = design.gravity.any() and (sensors is None or not has_gravity(sensors.channels))
+    stands = design.gravity.any() and (sensors is None or not has_gravity_sensor_channels(sensors.channels))
     return Conditions(approach_direction(recording.commands, t), t, channels, weight if stands else None)
 
 

@@ -1,6 +1,6 @@
-"""rig arm wrench: external wrench on an arm's hand.
+"""rig arm wrench: external wrench on an arm's hand, estimated with covariance.
 
-It is estimated from joint torques or motor currents, with covariance.
+From joint torques or motor currents.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Driver of struts.
-
-It checks and sends each move, monitors the read-back, stops on failure.
-"""
+"""Driver of struts: checks and sends each move, monitors the read-back, stops on failure."""
 
 import threading
 from collections.abc import Callable, Iterator

@@ -149,7 +149,7 @@ class BaseTilt:
         return Rotation.from_rotvec(self.angle(values)[:, None] * self.axis)
 
 
-def has_gravity(channels: Collection[str]) -> bool:
+def has_gravity_sensor_channels(channels: Collection[str]) -> bool:
     """Whether gravity in the base frame is among the names of sensor channels."""
     return set(GRAVITY) <= set(channels)
 
@@ -170,7 +170,7 @@ def gravity_at_exposures(
     As logged where the base tilts, else as stated, gravity (3,).
     known : names of the sensor channels; channel : name -> (count,) values
     """
-    return logged_gravity(channel) if has_gravity(known) else np.broadcast_to(gravity, (count, 3))
+    return logged_gravity(channel) if has_gravity_sensor_channels(known) else np.broadcast_to(gravity, (count, 3))
 
 
 def times_resampled_for_small_tilt_steps(

@@ -43,7 +43,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
 
 
 def is_same_lens_sensor_and_mount(a: Camera, b: Camera) -> bool:
-    """Whether two Cameras have the same lens, sensor, shutter and mount, wherever they are."""
+    """Whether two Cameras agree in all but pose, source and capture: lens, sensor, shutter, mount and name."""
     return not any(where.partition(".")[0] not in ("pose", "source", "capture") for where, _ in _differences(a, b, ""))
 
 

@@ -214,7 +214,7 @@ def difference_step(tolerance: float) -> float:
     return 0.4 * tolerance if tolerance else STEP
 
 
-def freedom_columns(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
+def axis_change_columns_by_freedom(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
     """Columns (n, axes, freedoms) of the axes' change with the freedoms.
 
     m or rad, along and about the base's axes, at poses (n, 4, 4).

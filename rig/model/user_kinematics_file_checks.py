@@ -13,7 +13,7 @@ from rig.errors import FileError
 from rig.model.user_kinematics_file import (
     FREEDOMS,
     KinematicsFile,
-    freedom_columns,
+    axis_change_columns_by_freedom,
     parameter_columns,
     stated_kinematics,
 )
@@ -42,7 +42,7 @@ def kinematics_of_source(source: str, name: str) -> KinematicsFile:
     values = file.inverse(poses, file.nominal)
     _require_numbers(file, "inverse", values, poses[:, :3, 3].round(6).tolist(), "poses at")
     file = _with_derivatives(file, poses)
-    columns = freedom_columns(file, file.home[None], file.nominal)[0]
+    columns = axis_change_columns_by_freedom(file, file.home[None], file.nominal)[0]
     sizes = np.linalg.svd(columns / np.linalg.norm(columns, axis=0).clip(1e-300), compute_uv=False)
     if not sizes[-1] > SINGULAR * sizes[0]:
         raise file.error("inverse is singular at home: the axes do not hold all freedoms there", "inverse")
@@ -109,7 +109,8 @@ def _require_numbers(file: KinematicsFile, name: str, found: Floats, given: list
 def _derivatives(file: KinematicsFile, poses: Floats) -> Floats:
     free = np.flatnonzero(file.tolerances)
     return np.concatenate(
-        [freedom_columns(file, poses, file.nominal), parameter_columns(file, poses, file.nominal, free)], axis=2
+        [axis_change_columns_by_freedom(file, poses, file.nominal), parameter_columns(file, poses, file.nominal, free)],
+        axis=2,
     )
 
 

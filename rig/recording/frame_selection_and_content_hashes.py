@@ -218,8 +218,8 @@ def manifest_lines_of_frame_hashes(hashes: Marks) -> tuple[str, ...]:
     return tuple(f"{frame} {mark}" for frame, own in sorted(hashes.items()) for mark in sorted(own))
 
 
-def hashes_of_frames(hashes: Marks, frames: Iterable[int] | None = None) -> list[str]:
-    """Hashes of some frames, all by default, in order."""
+def sorted_hashes_of_frames(hashes: Marks, frames: Iterable[int] | None = None) -> list[str]:
+    """Sorted union of the content hashes of some frames, all by default."""
     return sorted(set().union(*(own for frame, own in hashes.items() if frames is None or frame in set(frames))))
 
 

@@ -20,7 +20,7 @@ from rig.model.base_and_link_tilts import (
     GRAVITY,
     BaseTilt,
     gravity_channels,
-    has_gravity,
+    has_gravity_sensor_channels,
     times_resampled_for_small_tilt_steps,
 )
 from rig.model.design import Design
@@ -241,9 +241,9 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
     changes much, as gravity is interpolated between them.
     Raises RigError where a tilt was not logged, or gravity in part
     """
-    if set(GRAVITY) & set(sensors.channels) and not has_gravity(sensors.channels):
+    if set(GRAVITY) & set(sensors.channels) and not has_gravity_sensor_channels(sensors.channels):
         raise RigError(f"sensors.csv has gravity in part: {', '.join(GRAVITY)} belong together")
-    if not tilts or has_gravity(sensors.channels):
+    if not tilts or has_gravity_sensor_channels(sensors.channels):
         return sensors
     missing = [tilt.channel for tilt in tilts if tilt.channel not in sensors.channels]
     if missing:

@@ -353,7 +353,7 @@ def write_configurations(
 
 
 def write_poses(path: Path, poses: Poses, hands: tuple[str, ...] = ()) -> None:
-    """Write a poses.csv, with covariance where there is one; resolution 1e-10 m and rad.
+    """Write a poses.csv, with the poses' covariance where there is one; resolution 1e-10 m and rad.
 
     hands : names of the hands by number, of an arm with several
     """

@@ -23,7 +23,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from tests.conftest import SHARED
 from tests.vision.drawn_observations import scene
-from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import crossvalidate_adjustment
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
 from vision.bundle.priors_of_unknowns import adjustment_unknowns

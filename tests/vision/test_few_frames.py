@@ -14,7 +14,10 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
+    crossvalidate_adjustment,
+    determined_combinations,
+)
 from vision.recording_measurement import measure_recording
 
 

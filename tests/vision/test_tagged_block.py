@@ -16,7 +16,7 @@ from rig.recording.recording_folder import load_recording as load
 from rig.recording.recording_tables import Corners, write_corners
 from tests.vision.tagged_block import Block, drawn_block, placed_corners
 from vision.api import focal_length_alarms, measure
-from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determined_combinations
 from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_few_images

@@ -10,7 +10,7 @@ from typing import Generic
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Candidate, Node, Role, UsualRange
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Candidate, Node, Role, UsualRange
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved, normal_equations_by_direction_weights

@@ -8,7 +8,7 @@ from typing import Generic
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Scans, Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
 from calib.diagnosis.engine.problem_interface import (

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel

@@ -17,7 +17,7 @@ from calib.diagnosis.engine.candidate_score import (
     best_effect_at_several_axes,
     score_raised_to_likelihood_ratio,
 )
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Site
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
 from calib.diagnosis.engine.finding_confirmation import (
     Finding,
     confirm_terms,

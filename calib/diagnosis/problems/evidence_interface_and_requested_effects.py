@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar, runtime_ch
 
 import numpy as np
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C, Candidate, NotTested, Outliers, StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Candidate, NotTested, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit

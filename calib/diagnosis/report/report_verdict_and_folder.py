@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Crowd, LeftOut
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Crowd, LeftOut
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     STATED,

@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
 from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions

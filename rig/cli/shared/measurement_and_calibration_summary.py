@@ -18,7 +18,7 @@ from rig.cli.shared.output_display import print_frames_without_pose, print_held_
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.api import MeasurementResult, camera_offset_lines
-from vision.bundle.adjustment_validation_and_determinacy import NotHeldOut
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
 from vision.bundle.marker_displacements import Places
 
 

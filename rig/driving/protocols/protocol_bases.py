@@ -306,7 +306,7 @@ class LineProtocol:
         return None if lines is None else answer(lines)
 
 
-def state_problem(state: object, count: int) -> str | None:
+def user_protocol_state_problem(state: object, count: int) -> str | None:
     """Problem with a State that a user's protocol gave.
 
     For `count` axes.

@@ -14,7 +14,14 @@ from rig.driving.protocols.gcs import GCS, GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.native_strut_protocol import Struts
-from rig.driving.protocols.protocol_bases import Dialogue, LineProtocol, Protocol, State, Verdict, state_problem
+from rig.driving.protocols.protocol_bases import (
+    Dialogue,
+    LineProtocol,
+    Protocol,
+    State,
+    Verdict,
+    user_protocol_state_problem,
+)
 from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, missing_member, user_class_error
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import class_literal, read_user_text
@@ -125,7 +132,7 @@ def _checked(
         found = yield from dialogue(*given, **named)
         problem = None if isinstance(found, expected) else f"gave {type(found).__name__}, not {expected.__name__}"
         if isinstance(found, State) and expected is State:
-            problem = state_problem(found, cast(LineProtocol, given[0]).count)
+            problem = user_protocol_state_problem(found, cast(LineProtocol, given[0]).count)
         if problem:
             line = inspect.unwrap(dialogue).__code__.co_firstlineno
             raise ControllerFault(f"{path}:{line}: {owner}.{dialogue.__name__} {problem}")

@@ -13,7 +13,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.parameters_covariates_and_markers import Context, Linear, Parameter
 from rig.errors import RigError
-from rig.model.base_and_link_tilts import GRAVITY, has_gravity, logged_gravity
+from rig.model.base_and_link_tilts import GRAVITY, has_gravity_sensor_channels, logged_gravity
 from rig.model.design import Camera
 from rig.model.hands_effect_places_and_tolerances import Place
 
@@ -62,7 +62,7 @@ class CameraSag(Effect):
 def _turning(context: Context) -> tuple[int, ...]:
     """The axes of the base along which gravity changes in a recording."""
     sensors = context.sensors
-    if sensors is None or not has_gravity(sensors.channels):
+    if sensors is None or not has_gravity_sensor_channels(sensors.channels):
         return ()
     down = logged_gravity(lambda name: sensors.at(context.t, name)) / WEIGHT
     return tuple(np.flatnonzero(down.std(axis=0) > TURNS).tolist())

@@ -1,4 +1,4 @@
-"""Arm of any number of joints.
+"""Arm of any number of joints: forward and inverse kinematics, and Jacobians.
 
 Turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
 

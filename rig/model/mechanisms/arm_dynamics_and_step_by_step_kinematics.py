@@ -1,4 +1,4 @@
-"""Arm dynamics, and kinematics step by step.
+"""Arm dynamics, and forward kinematics written out step by step.
 
 Joint torques, weights, mass matrix, momentum rate; the steps are for a reader.
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import FileMechanism
-from rig.model.user_kinematics_file import KinematicsFile, freedom_columns, parameter_columns
+from rig.model.user_kinematics_file import KinematicsFile, axis_change_columns_by_freedom, parameter_columns
 from rig.model.user_kinematics_file_checks import kinematics_of_source, poses_with_locked_coordinates_at_home
 
 AXIS, UNIT = "axis", "m"
@@ -81,7 +81,7 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
     columns = _columns_at_starts(poses, mechanism)
     before = _side(columns)
     left = _newton(poses, flat, columns, mechanism)
-    after = _side(freedom_columns(mechanism.stated, poses, mechanism.parameters))
+    after = _side(axis_change_columns_by_freedom(mechanism.stated, poses, mechanism.parameters))
     left[(left < GOOD) & (after != before)] = np.inf
     _require_solved(left, flat, mechanism)
     return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
@@ -90,7 +90,7 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
 def _columns_at_starts(poses: Floats, mechanism: FileMechanism) -> Floats:
     """(n, axes, freedoms) change of the axes with the freedoms at poses (n, 4, 4); once where all are the same."""
     one = len(poses) > 1 and not np.ptp(poses, axis=0).any()
-    columns = freedom_columns(mechanism.stated, poses[:1] if one else poses, mechanism.parameters)
+    columns = axis_change_columns_by_freedom(mechanism.stated, poses[:1] if one else poses, mechanism.parameters)
     return np.array(np.broadcast_to(columns, (len(poses), *columns.shape[1:])))
 
 
@@ -117,7 +117,7 @@ def _newton(poses: Floats, values: Floats, columns: Floats, mechanism: FileMecha
         start[fresh] = poses[fresh]
         renewed = going[finite & slow]
         if len(renewed):
-            columns[renewed] = freedom_columns(file, poses[renewed], mechanism.parameters)
+            columns[renewed] = axis_change_columns_by_freedom(file, poses[renewed], mechanism.parameters)
         step[fresh] = _step(columns[fresh], error[finite], file)
         poses[going] = _moved(start[going], step[going], file)
     return left
@@ -192,7 +192,7 @@ def jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Float
     0 along what is no freedom.
     """
     poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
-    columns = freedom_columns(mechanism.stated, poses, mechanism.parameters)
+    columns = axis_change_columns_by_freedom(mechanism.stated, poses, mechanism.parameters)
     out = columns @ np.swapaxes(_free_directions(poses, mechanism), 1, 2)
     return cast(Floats, out.reshape(*T_base_platform.shape, *out.shape[1:]))
 

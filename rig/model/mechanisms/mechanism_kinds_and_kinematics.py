@@ -61,7 +61,7 @@ def has_stages(mechanism: Mechanism) -> TypeIs[Chain]:
 
 
 def has_axes(mechanism: Mechanism) -> TypeIs[Commanded]:
-    """Whether a mechanism has axes to command."""
+    """Whether a mechanism has axes to command, struts or joints."""
     return bool(mechanism.axes)
 
 

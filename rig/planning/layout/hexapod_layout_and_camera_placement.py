@@ -1,4 +1,4 @@
-"""Hexapod layouts, and placement of cameras.
+"""Hexapod layouts and camera placement for a new rig.toml, from a few dimensions.
 
 rig.toml layouts of a hexapod or two struts from a few dimensions; cameras and cubes are placed in layouts.
 """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM
 from calib.diagnosis.engine.term_selection import _exchanged
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidate
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording

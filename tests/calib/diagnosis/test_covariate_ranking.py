@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import NO_STATED_TERMS
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidates

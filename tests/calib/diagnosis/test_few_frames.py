@@ -7,7 +7,7 @@ import pytest
 from scipy.special import chdtri
 
 from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM, Candidate
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, Candidate
 from calib.diagnosis.engine.cross_validation_and_chance import frame_folds, residual_dispersion, scan_p_value
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
 from calib.diagnosis.engine.reduced_least_squares import (

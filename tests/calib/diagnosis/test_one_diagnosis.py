@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine import problem_interface as interface
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import ARM
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameters import _under, term_errors_by_temperature_logs

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotTested, StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NotTested, StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import NO_STATED_TERMS
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS
 from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_common_weights
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from calib.api.next_experiment import Experiment, available_plans, rank_experiments
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM
 from calib.experiment.experiment_questions_and_information import Prediction, experiment_information
 
 HALF, NOTHING = np.array([0.5, 0.5]), np.zeros(2)

@@ -29,7 +29,7 @@ def of(folder):
 
 
 def known(folder):
-    return frame_selection_and_content_hashes.hashes_of_frames(of(folder))
+    return frame_selection_and_content_hashes.sorted_hashes_of_frames(of(folder))
 
 
 def test_another_recording_by_the_same_commands_shares_nothing(two):

@@ -11,7 +11,7 @@ from rig.errors import NotEnoughData
 from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import exp, log, pose_difference
 from tests.vision.drawn_observations import known, scene
-from vision.bundle.adjustment_validation_and_determinacy import determined_combinations
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determined_combinations
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
 from vision.bundle.priors_of_unknowns import TERM_PRIOR, adjustment_unknowns

@@ -10,7 +10,10 @@ import pytest
 from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_from_rig_toml
 from rig.model.pose import log, pose_difference
 from tests.vision.tumbling_block import scene
-from vision.bundle.adjustment_validation_and_determinacy import crossvalidate_adjustment, determined_combinations
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
+    crossvalidate_adjustment,
+    determined_combinations,
+)
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
 from vision.bundle.unknowns_estimate_and_printing_errors import align_points

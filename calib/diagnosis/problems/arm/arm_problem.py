@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import ARM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,

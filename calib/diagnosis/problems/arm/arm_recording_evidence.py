@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import (
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     NO_STATED_TERMS,
     Crowd,
     LeftOut,

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_solve
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_direction_weights, solve_with_prior

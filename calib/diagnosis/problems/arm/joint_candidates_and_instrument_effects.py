@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Candidate, Node, NotTested
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Candidate, Node, NotTested
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import (

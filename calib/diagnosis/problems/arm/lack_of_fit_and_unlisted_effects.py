@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import ARM
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Columns, Part

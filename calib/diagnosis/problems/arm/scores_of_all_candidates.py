@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import score_at_node
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
 from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.reduced_least_squares import (
     FrameProducts,

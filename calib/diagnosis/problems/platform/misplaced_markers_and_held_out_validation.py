@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Crowd, LeftOut, Outliers
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Crowd, LeftOut, Outliers
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FEWEST,
     FOLDS,

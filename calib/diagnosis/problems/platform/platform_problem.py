@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import PLATFORM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import NotTested, Outliers, StatedTerms
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NotTested, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit

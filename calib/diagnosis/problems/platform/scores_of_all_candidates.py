@@ -15,7 +15,7 @@ from calib.diagnosis.engine.candidate_score import (
     score_at_node,
     score_of_insignificant_candidate_without_dispersion,
 )
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import Node
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
 from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved
 from calib.diagnosis.problems.platform import vibration_frequency

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score
-from calib.diagnosis.engine.candidates_thresholds_and_outliers import C
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.finding_confirmation import Finding, is_finding_significant, is_significant
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
