@@ -12,6 +12,7 @@ the place's coordinates, the largest first; neighbouring cells are cut alike whe
 configuration-space patent, [0033], [0034]; Kuhn, Some combinatorial lemmas in topology, 1960.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import combinations, product
@@ -36,8 +37,7 @@ from rig.errors import RigError
 from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
 
 SAME = 1e-5  # of the stroke, within which commands are one level: they are written to a tenth of a micrometre
-
-
+PART = 1 / 3  # of the samples at the fullest level of an axis, that a level has at least which lost vertices
 LOST = 0.25  # share of a grid's vertices, from which so few are measured that the samples fill no grid
 LEAST = 1e-40  # square of a difference; of values that are affine to rounding, all differences weigh alike
 
@@ -49,6 +49,11 @@ class Lattice(NamedTuple):
 
     levels: tuple[Floats, ...]
     vertex: Integers
+
+    @property
+    def filled(self) -> int:
+        """How many vertices have a sample."""
+        return len(np.unique(self.vertex[self.vertex >= 0]))
 
     @property
     def lost(self) -> Floats:
@@ -65,16 +70,14 @@ def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> L
     strokes : (axes, 2), the scale by which levels are told apart
     """
     tolerance, whole = SAME * np.ptp(strokes, axis=1), 2 ** (len(strokes) - 1)
-    for fewest in (whole, max(whole // 2, 2)):  # samples at a level of a grid, and of one that lost vertices
-        found = _lattice(configurations, tolerance, fewest)
-        if found is not None and len(found.lost) < LOST * np.prod([len(level) for level in found.levels]):
-            return found
-    return None
+    found = [_lattice(configurations, tolerance, fewest) for fewest in (whole, max(whole // 2, 2), None)]
+    return max((one for one in found if one is not None), key=lambda one: one.filled, default=None)
 
 
-def _lattice(configurations: Floats, tolerance: Floats, fewest: int) -> Lattice | None:
-    """Lattice of the levels that at least so many configurations (n, axes) share; None for an axis with fewer than
-    two.
+def _lattice(configurations: Floats, tolerance: Floats, fewest: int | None) -> Lattice | None:
+    """Lattice of the levels that at least so many configurations (n, axes) share, or, for None, a share PART as many as
+    the level of the same axis that most share. None for an axis with fewer than two, and where a share LOST of the
+    vertices lacks.
     """
     n, axes = configurations.shape
     on = np.ones(n, bool)
@@ -89,16 +92,22 @@ def _lattice(configurations: Floats, tolerance: Floats, fewest: int) -> Lattice 
         if (now == on).all():
             break
         on = now
-    return Lattice(levels, np.where(on, np.ravel_multi_index(nearest, [len(level) for level in levels]), -1))
+    shape = [len(level) for level in levels]
+    needed = (1 - LOST) * math.prod(shape)  # counted before vertices are: a table of them all may fill no memory
+    if on.sum() <= needed:
+        return None
+    lattice = Lattice(levels, np.where(on, np.ravel_multi_index(nearest, shape), -1))
+    return lattice if lattice.filled > needed else None
 
 
-def _levels(values: Floats, tolerance: float, fewest: int) -> Floats:
+def _levels(values: Floats, tolerance: float, fewest: int | None) -> Floats:
     """The middle of each of those groups of values, no further than the tolerance from each other, that have at least
-    so many.
+    so many; for None at least PART of the largest.
     """
     ordered = np.sort(values)
     groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > tolerance) + 1)
-    return np.array([group[len(group) // 2] for group in groups if len(group) >= fewest])
+    least = PART * max(map(len, groups)) if fewest is None else fewest
+    return np.array([group[len(group) // 2] for group in groups if len(group) >= least])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -231,6 +231,25 @@ def test_vertices_that_a_grid_lost_are_estimated_as_well_as_it_states(axes, part
     assert 0.4 < np.sqrt(np.mean(np.square(np.concatenate(relative)))) < 1.6
 
 
+@pytest.mark.parametrize(
+    "shape, lost", [((3, 2, 2), 1), ((4, 2), 1), ((3, 3), 1), ((3, 2, 2, 2, 2, 2), 1), ((5, 4, 2), 4), ((2, 2, 2), 1)]
+)
+def test_no_level_of_a_grid_goes_with_the_vertices_that_it_lost(shape, lost):
+    rng, strokes = np.random.default_rng(3), np.tile([0.0, 1.0], (len(shape), 1))
+    every = np.stack(np.meshgrid(*[np.linspace(0.1, 0.9, n) for n in shape], indexing="ij"), -1).reshape(-1, len(shape))
+    beside = rng.uniform(0.15, 0.85, (2, len(shape)))  # on no level
+    for _ in range(12):
+        gone = rng.permutation(len(every))[:lost]
+        found = grid_lattice_of_configurations(np.r_[np.delete(every, gone, axis=0), beside], strokes)
+        assert tuple(map(len, found.levels)) == shape and (found.vertex[-2:] == -1).all()
+        np.testing.assert_allclose(found.lost, every[np.sort(gone)], atol=1e-12)
+
+
+def test_samples_that_share_many_levels_and_fill_no_grid_are_refused_at_once():
+    many = np.random.default_rng(2).integers(0, 40, (900, 6)) / 40
+    assert grid_lattice_of_configurations(many, np.tile([0.0, 1.0], (6, 1))) is None
+
+
 def test_a_grid_that_lacks_a_quarter_of_its_vertices_is_refused_by_name():
     known, _ = on_grid(3, 4, parts=2)
     with pytest.raises(RigError, match="fill no grid.*delaunay"):

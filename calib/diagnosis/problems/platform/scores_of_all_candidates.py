@@ -239,11 +239,13 @@ def _along_axes(
     solved = solver(normal)
     best = int(np.argmax(solved.delta_chi2))
     if not candidate.spec.linear and solved.delta_chi2[best] >= COARSE * least:
-        grid = candidate.grid
-        finer = replace(candidate, grid=_nodes_of_finer_sizes(candidate, best))
-        candidate = replace(candidate, grid=[*grid[:best], *finer.grid, *grid[best + 1 :]])
+        grid, finer = candidate.grid, replace(candidate, grid=_nodes_of_finer_sizes(candidate, best))
         of_finer = solver(axis_normal_equations(finer, sensitivities, products, motion)[1])
-        solved = Solved.of([solved.part(slice(best)), of_finer, solved.part(slice(best + 1, None))])
+        top = int(np.argmax(of_finer.delta_chi2))
+        candidate = replace(candidate, grid=[*grid[:best], finer.grid[top], *grid[best + 1 :]])
+        solved = Solved.of(
+            [solved.part(slice(best)), of_finer.part(slice(top, top + 1)), solved.part(slice(best + 1, None))]
+        )
     return best_node_score(
         model.linear,
         candidate,
@@ -255,20 +257,21 @@ def _along_axes(
 
 
 def _nodes_of_finer_sizes(candidate: PlatformCandidate, best: int) -> list[Node]:
-    """The best node of a candidate without linear parameters, among nodes of sizes between its own and the next ones,
-    in the grid's order: so that no hypothesis explains more by which sizes a grid happens to have. The best node alone
-    where not one number, but none or several, are its size.
+    """Nodes of sizes between those next to the best node of a candidate without linear parameters, that of the best
+    among them: the best of them takes its place, so that no hypothesis explains more by which sizes a grid happens to
+    have, and the grid has as many nodes as before, by which a hypothesis pays. The best node alone where not one
+    number, but none or several, are its size.
     """
     node = candidate.grid[best]
     names = [p.name for p in candidate.kind.parameters if p.role in SIZED and p.name in node]
     if len(names) != 1:
         return [node]
-    name = names[0]
-    sizes = sorted(other[name] for other in candidate.grid if other | {name: node[name]} == node)
-    i, last = sizes.index(node[name]), len(sizes) - 1
+    name, size = names[0], node[names[0]]
+    alike = [other[name] for other in candidate.grid if other | {name: size} == node]
+    sizes = sorted(other for other in alike if np.sign(other) == np.sign(size))
+    i, last = sizes.index(size), len(sizes) - 1
     steps = np.arange(max(FINER * (i - 1) + 1, 0), min(FINER * (i + 1), FINER * last + 1))
-    finer = np.interp(steps / FINER, np.arange(len(sizes)), sizes)
-    return [node | {name: float(size)} for size in sorted(finer, key=abs)]
+    return [node | {name: float(one)} for one in np.interp(steps / FINER, np.arange(len(sizes)), sizes)]
 
 
 def axis_normal_equations(
