@@ -285,7 +285,7 @@ class ExtendOptions:
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendedCorrection:
     """done : Certified, of struts, an arm or a chain; tried : Tried of each way; claim : Claim; provenance : what is
-    recorded of a pass; misses : (RMS, greatest) of the single step; unit : of an axis, m or rad; base : what the
+    recorded of a pass; misses : (RMS, greatest) of the single step; unit : of these, m or rad; base : what the
     extension stands on, in words
     """
 
@@ -323,9 +323,8 @@ def certify_correction_extension(
     if design.mechanism.bodies:
         of_chain, tried = certify_extended_chain(samples, require_chain(design.mechanism), ask, rng, progress)
         misses = single_step_chain_errors(of_chain.correction, samples.commanded)
-        unit = mechanisms.travel_unit(of_chain.correction.nominal)
         claim = chain_workspace_claim(samples, of_chain, rng)
-        return ExtendedCorrection(of_chain, tried, claim, provenance, misses, unit, base)
+        return ExtendedCorrection(of_chain, tried, claim, provenance, misses, "m", base)
     if options.onto is None:
         done, tried = certify_extended_correction(samples, require_parallel(design.mechanism), ask, rng, progress)
     else:

@@ -324,6 +324,10 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     strokes, reached_from = axis_strokes(design), None
     if options.parts is None:  # visited straight, the outermost configurations are always reached from within
         lengths = balanced_approach_lengths(found.values, np.random.default_rng(SEED), strokes)
+        if options.calibration is not None:
+            avoided = geometry_and_excluded_configurations(options, require_hexapod(design.mechanism))[1]
+            while avoided is not None and (lost := avoided(found.values - lengths)).any():  # the goals are allowed
+                lengths[lost] /= 2
         reached_from = agreeing_commands(found.values - lengths, design)
     before = np.vstack([strokes.mean(axis=1), found.values[:-1]]) if reached_from is None else reached_from
     confounds = confounds_of_configurations(found.values, before, design.mechanism)

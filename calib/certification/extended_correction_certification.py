@@ -73,6 +73,7 @@ from rig.planning.configuration_generators import FILL, evenly_spread_configurat
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain the residuals as well as the configuration does"
+NOTHING_HELD_OUT = "no configurations could be held out of these, by which methods are compared"
 NONE = "none"  # of the ways: the geometry, or the nominal model, as it is
 
 
@@ -216,11 +217,12 @@ def certify_interpolation_method(
         }
     )
     grid = grid_lattice_of_configurations(known.configurations, known.strokes)
+    reason = refusal_reason if outcome is not None else refusal_reason or NOTHING_HELD_OUT
     tried = [
         Tried(
             name,
             held.get(name),
-            refusal_reason if auto and name != NONE else None,
+            reason if auto and name != NONE else None,
             name == kind,
             *([grid.lost] if grid is not None and isinstance(field, Grid) else []),
         )
@@ -273,7 +275,9 @@ class _Outcome(NamedTuple):
 
 
 def _splits(samples: Samples, label: Integers, nominal: Commanded) -> list[tuple[Booleans, Booleans]]:
-    """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
+    """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations, or where no
+    level of a grid can be left out of it.
+    """
     if label.max() + 1 < LEAST:
         return []
     found = grid_lattice_of_configurations(samples.commanded, axis_travel_limits(nominal))

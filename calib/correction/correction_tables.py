@@ -86,7 +86,7 @@ def summands_by_nearest_axis_values(
     else:
         worst_of = int(np.abs(step).max(axis=1).argmax())
         raise RigError(
-            f"frame {frame[worst_of]}: the model does not reach the measured pose near its joint "
+            f"frame {frame[worst_of]}: the model does not reach the measured pose near its axis "
             "values; is it that machine's?"
         )
     variances = np.full((len(x), Vt.shape[1]), limit**2)

@@ -174,7 +174,9 @@ def run(arguments: Namespace) -> None:
     print_calibration(result, arguments.promise)
     if plan is not None and result.extended is not None and len(result.extended.lost):
         write_configurations(plan, recordings[0].design.mechanism.axes, result.extended.lost)
-        print(f"written: {missing}, the plan of the vertices without a pose (rig run --plan commands:{missing.name})")
+        print(f"written: {missing}, the plan of the vertices without a pose (rig run --plan commands:{missing})")
+    elif plan is not None:
+        missing.unlink(missing_ok=True)  # of an earlier calibration by this name
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 

@@ -169,7 +169,7 @@ KINDS = (
 def nearest_name_hint(path: Path) -> str:
     """Text that names the entry of a missing path's folder that is most like it, "" where none is."""
     try:
-        near = get_close_matches(path.name, os.listdir(path.parent), 1)
+        near = get_close_matches(path.name, set(os.listdir(path.parent)) - {path.name}, 1)
     except OSError:  # the folder is missing as well, or cannot be listed
         return ""
     return f"; is {path.parent / near[0]} meant?" if near else ""

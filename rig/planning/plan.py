@@ -76,12 +76,8 @@ def build_plan(
     """Build the Plan of a design from its text, for example "sobol:100,moving:60".
 
     "standard" stands for STANDARD.
-    one_sided : whether every configuration at which the struts settle is reached from shorter struts; own_parts :
-        {part:
-    configurations (n, axes) that it visits in that order}, besides these configuration at which the struts settle
-    is reached from shorter struts; own_parts : {part:
-        configurations
-    (n, axes) that it visits in that order}, besides these
+    one_sided : whether every configuration at which the struts settle is reached from shorter struts
+    additional_parts : {part: configurations (n, axes) that it visits in that order}, besides these
 
     Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled
     and approached from sides so that neither time nor direction is a function of place (see

@@ -85,7 +85,7 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
     The joint values are those that give the measured poses.
 
     They are the joint correction summands. placed_arm : placed as the instrument sees it
-    covariance : what all poses share included. Raises RigError as `joint_space_summands`
+    Their covariance includes what all poses share. Raises RigError as `summands_by_nearest_axis_values`
     """
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
     return commanded_minus_joint_values_of_measured_poses(whole, placed_arm, np.zeros(0))

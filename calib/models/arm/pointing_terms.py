@@ -152,7 +152,7 @@ def pointing_terms_of_parameters(
     """PointingTerms of a mount as fitted against that stated.
 
     None for an arm that is none or has other errors.
-    stated, fitted : Arm; covariance : (p, p) of its parameters; commanded : (n, 2) rad; gravity : (3,) m/s^2
+    stated, fitted : Arm; covariance : (p, p) of its parameters; visited : (n, 2) rad; gravity : (3,) m/s^2
     flexure : (mass moment over stiffness of `tube_flexure_effect`, rad per m/s^2, its variance), None where not fitted
     """
     mount = mount_kind(stated)

@@ -21,6 +21,7 @@ from calib.certification.error_claim_over_workspace import (
     empty_claim_of_too_few_configurations,
     mean_square_pose_errors_of_extension,
 )
+from calib.certification.extended_correction_certification import empty_claim_without_held_out_data
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,
@@ -161,6 +162,8 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     )
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(information, words)
+    if certified.correction.extension is not None and certified.left is None:
+        return empty_claim_without_held_out_data(information, words)
     values, T = chain_workspace_values(certified.correction, samples.commanded)
     stated = mean_square_pose_errors_of_extension(certified.correction, values, mechanism.jacobian(values, found.chain))
     own = (

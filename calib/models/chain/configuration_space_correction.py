@@ -39,6 +39,7 @@ from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.pose import pose_difference
 
+TINY = 1e-100  # pose change per share of travel, in place of none: the variance of what no pose determines is vast
 NEAR = 0.1  # of an axis' travel, by which the model may be off
 
 
@@ -60,7 +61,8 @@ def _field_samples(samples: Samples, chain: Chain) -> FieldSamples:
     """Samples for a field of correction summands; what moves no pose adds nothing to their variances."""
     known, ranges = chain_correction_summands(samples, chain, samples.covariance), mechanism.travel_ranges(chain)
     span = np.ptp(ranges, axis=1)
-    back = span[:, None] * np.linalg.pinv(mechanism.jacobian(samples.effective, chain) * span)
+    U, s, Vt = np.linalg.svd(mechanism.jacobian(samples.effective, chain) * span, full_matrices=False)
+    back = span[:, None] * np.swapaxes(Vt, 1, 2) / np.maximum(s, TINY)[:, None] @ np.swapaxes(U, 1, 2)
     determined = np.einsum("nij,njk,nik->ni", back, samples.covariance, back)
     variances = np.minimum(determined, np.einsum("nii->ni", known.covariance))
     return FieldSamples(samples.commanded, known.values, variances, ranges)
@@ -123,16 +125,15 @@ def certify_extended_chain(
 
 
 def single_step_chain_errors(correction: AnyCorrection, commanded: Floats) -> tuple[float, float]:
-    """Errors (RMS, greatest) m or rad of a chain's correction in a single step: the least change of its axes that makes
-    up for the poses missed, over the middle of what was commanded (n, axes).
+    """Position errors (RMS, greatest) m of a chain's correction in a single step, as its axes have different units,
+    over the places of `chain_workspace_values`. commanded : (n, axes)
 
     The single step is X + KSF(X). Source: configuration-space patent, [0030], [0091]
     """
-    values, wanted = chain_workspace_values(correction, commanded)
+    _, wanted = chain_workspace_values(correction, commanded)
     missed = pose_difference(correction.predict(correction.single_step(wanted)), wanted)
-    back = mechanism.inverse_kinematics_jacobian(wanted, values, correction.fitted)
-    off = (back @ missed[..., None])[..., 0]
-    return float(np.sqrt((off**2).mean())), float(np.abs(off).max())
+    off = np.linalg.norm(missed[:, :3], axis=1)
+    return float(np.sqrt((off**2).mean())), float(off.max())
 
 
 def _covariance(samples: Samples, fitted: Chain, nominal: Chain, scatter: Floats) -> Floats:

@@ -55,6 +55,7 @@ def require_named_or_stated(effects, hidden):
         pytest.param(65003, id="a clock that is late and drives that lag differently"),
         pytest.param(65017, id="drives that lag a little differently, and a strut that creeps"),
         pytest.param(51007, id="struts that creep with two times, and a clock that is late"),
+        pytest.param(91007, id="a strut with backlash, and a clock that is late as a lag of all drives would be"),
     ],
 )
 def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_told_from(seed, tmp_path):

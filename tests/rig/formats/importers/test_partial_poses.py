@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 from rig.formats.importers import import_recipe, recording_import
 from rig.formats.importers.command_and_sensor_tables import read_sensors
+from rig.formats.local_and_remote_input_files import open_regular_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
 from rig.planning.configuration_generators import evenly_spread_configurations
@@ -265,3 +266,7 @@ def test_a_path_with_a_typing_error_names_the_one_that_is_there(tmp_path):
     for words in (("--commands", tmp_path / "robto.csv", tmp_path / "images"), (tmp_path / "imagse",)):
         status, text = run_in_process("import", "--rig", tmp_path / "rig.toml", "--out", tmp_path / "rec", *words)
         assert status == 1 and f"is {tmp_path / ('robot.csv' if len(words) > 1 else 'images')} meant?" in text, text
+    (tmp_path / "nowhere.csv").symlink_to(tmp_path / "gone")
+    with pytest.raises(FileError) as error:
+        open_regular_file(tmp_path / "nowhere.csv")
+    assert "meant" not in str(error.value)
