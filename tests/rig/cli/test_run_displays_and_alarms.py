@@ -29,7 +29,7 @@ from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
-from tests.vision.reading.test_camera_and_marker_alarms import sight
+from tests.vision.reading.test_live_run_camera_and_marker_alarms import sight
 from vision.reading.live_measurement_and_corner_refit import Live, sight_from_measuring_limbs
 from vision.reading.parallel_image_map_and_marker_rendering import render_marker_images
 
