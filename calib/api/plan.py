@@ -1,7 +1,4 @@
-"""Plan of configurations for a purpose.
-
-To determine parameters best, keep a promise, or separate effects.
-"""
+"""Plan of configurations that determine parameters best, keep a promise, or separate effects."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -319,9 +316,9 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
         found = PlanResult(design, done.values, True, str(done), done.lines())
     else:
         found = plan_for_parameters(design, options, progress)
+    strokes, reached_from = axis_strokes(design), None
     if not len(found.values):
         return found
-    strokes, reached_from = axis_strokes(design), None
     if options.parts is None:  # visited straight, the outermost configurations are always reached from within
         lengths = balanced_approach_lengths(found.values, np.random.default_rng(SEED), strokes)
         if options.calibration is not None:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
     from calib.api.online_parameter_learning import LearningResult, LearnOptions
     from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
+    from rig.array_and_json_types import Floats
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
 
@@ -148,7 +149,6 @@ def run(arguments: Namespace) -> None:
         print_calibration,
         print_calibration_verdict_errors_and_corrections,
     )
-    from rig.recording.recording_tables import write_configurations
 
     out = arguments.outputs.file(arguments.out)
     _write_kinematics_file(arguments, recordings[0].design.mechanism)
@@ -172,12 +172,23 @@ def run(arguments: Namespace) -> None:
             print(f"no correction values: {error}")
     arguments.result = result.tree()
     print_calibration(result, arguments.promise)
-    if plan is not None and result.extended is not None and len(result.extended.lost):
-        write_configurations(plan, recordings[0].design.mechanism.axes, result.extended.lost)
-        print(f"written: {missing}, the plan of the vertices without a pose (rig run --plan commands:{missing})")
-    elif plan is not None:
-        missing.unlink(missing_ok=True)  # of an earlier calibration by this name
+    if plan is not None and result.extended is not None:
+        _write_lost_vertices(plan, missing, recordings[0].design.mechanism.axes, result.extended.lost)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
+
+
+def _write_lost_vertices(plan: Path, path: Path, axes: tuple[str, ...], lost: Floats) -> None:
+    """Write and name the plan of a grid's lost vertices (k, axes); without any, remove that of an earlier calibration.
+
+    plan : where it is written until the command ends; path : where it will stand
+    """
+    from rig.recording.recording_tables import write_configurations
+
+    if not len(lost):
+        path.unlink(missing_ok=True)
+        return
+    write_configurations(plan, axes, lost)
+    print(f"written: {path}, the plan of the vertices without a pose (rig run --plan commands:{path})")
 
 
 def _options(arguments: Namespace) -> CalibrateOptions:
