@@ -227,7 +227,6 @@ def measure_with_stated_or_free_markers(
 ) -> Measurement:
     """Measurement with marker poses as stated, or estimated too where requested or where the stated are doubtful.
 
-    They are free where requested or where the stated ones are doubtful.
     t : (F,) s
     """
     if markers.stage.any():

@@ -82,10 +82,7 @@ def measured_volume_line(certificate: Contents) -> str:
 
 
 def promise_basis_lines(certificate: Contents) -> list[str]:
-    """Lines on what a certificate's promise rests on: poses, conditions and recordings.
-
-    Poses, conditions and recordings.
-    """
+    """Lines on what a certificate's promise rests on: poses, conditions and recordings."""
     p, r = certificate.promise, certificate.repeatability
     lines = [
         f"From {p.n} distinct configurations, none of which was used in fitting; as measured, noise "

@@ -1,7 +1,4 @@
-"""Certification of corrections extended over the configuration space, by held-out configurations.
-
-Corrections extended over the configuration space, judged on held-out configurations.
-"""
+"""Certification of corrections extended over the configuration space, by held-out configurations."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -73,6 +70,7 @@ from rig.planning.configuration_generators import FILL, evenly_spread_configurat
 
 AUTO = "auto"
 ELSE = "direction, order, temperature or noise explain the residuals as well as the configuration does"
+NONE_LOST: Floats = np.zeros((0, 0))
 NOTHING_HELD_OUT = "no configurations could be held out of these, by which methods are compared"
 NONE = "none"  # of the ways: the geometry, or the nominal model, as it is
 
@@ -106,7 +104,7 @@ class Tried(NamedTuple):
     held_out: HeldOut | None
     reason: str | None
     chosen: bool
-    lost: Floats = np.zeros((0, 0))
+    lost: Floats = NONE_LOST
 
 
 def certify_extended_correction(
@@ -188,7 +186,6 @@ def certify_interpolation_method(
 ) -> tuple[Certified, tuple[Tried, ...]]:
     """Certified extension by one interpolation method, or the best of all by held-out errors; and those tried.
 
-    The one of this kind, or the best of all by held-out errors; also the methods tried.
     basis : nominal, label (n,) of the samples, the geometry; refusal_reason : why none is to be taken of all ways, or
         None
     """
@@ -217,14 +214,15 @@ def certify_interpolation_method(
         }
     )
     grid = grid_lattice_of_configurations(known.configurations, known.strokes)
-    reason = refusal_reason if outcome is not None else refusal_reason or NOTHING_HELD_OUT
+    lost = NONE_LOST if grid is None else grid.lost
+    reason = refusal_reason or (NOTHING_HELD_OUT if outcome is None else None)
     tried = [
         Tried(
             name,
             held.get(name),
             reason if auto and name != NONE else None,
             name == kind,
-            *([grid.lost] if grid is not None and isinstance(field, Grid) else []),
+            lost if isinstance(field, Grid) else NONE_LOST,
         )
         for name, field in fields.items()
     ]

@@ -189,9 +189,7 @@ def promise_by_cell(
     units: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Cell, ...]:
-    """Pose error promise of each cell of the volume, halved while both halves have poses enough.
-
-    Halved along its longest side while both halves have poses enough.
+    """Pose error promise of each cell of the volume, cut along its longest side while both halves have poses enough.
 
     Each cell's promise has the confidence by itself. The arguments are those of `pose_error_promise`
     """

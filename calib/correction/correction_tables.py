@@ -64,6 +64,8 @@ def summands_by_nearest_axis_values(
         change of what is predicted (n, k, axes)); covariance : (n, k, k) of what was measured; near : (axes,) m or
         rad by which the model may be off, and by which the values of different axes are compared
     Raises RigError naming a frame whose pose the model does not come to
+    Source: configuration-space patent, [0026]; damped where undetermined as by truncated singular values, Hansen,
+        Rank-deficient and discrete ill-posed problems, 1998, ch. 3
     """
     W = np.linalg.inv(np.linalg.cholesky(covariance))
     left, J = model(values)

@@ -1,7 +1,5 @@
 """Smooth curves over time, travel or a sensor, chosen for axis errors that a diagnosis leaves without a name.
 
-Curves over time, travel, history or a sensor undo what a diagnosis leaves without a name at an axis.
-
 Curves are tried at the axes that have such a finding, one after the other, the largest finding first. Each is fitted
 with geometry and effects together, and the next is asked of what it leaves.
 

@@ -369,8 +369,5 @@ def robust_weights(squared_lengths: Floats, count: int) -> Floats:
 
 
 def time_block_folds(count: int, folds: int) -> Integers:
-    """Fold number (count,) of each sample, folds being contiguous blocks of time of equal size.
-
-    Time blocks of equal size, never single rows.
-    """
+    """Fold number (count,) of each sample, folds being contiguous blocks of time of equal size."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)

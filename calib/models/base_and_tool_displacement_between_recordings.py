@@ -287,10 +287,7 @@ def base_origin(mechanism: Arm | Chain) -> Floats:
 
 
 def target_poses_by_forward_kinematics(samples: Samples, machine: Arm | Chain) -> RigidTransform:
-    """Target poses (n,) by a machine's forward kinematics at the samples' effective commands.
-
-    At their effective commands, the machine as it is.
-    """
+    """Target poses (n,) by a machine's forward kinematics at the samples' effective commands."""
     return kinematics_of(machine).forward(samples.effective, machine)
 
 

@@ -145,8 +145,6 @@ def state_with_pose(state: State, pose: Pose, start: Start, update_at_once: bool
 def relinearised_state(state: State, start: Start) -> State:
     """Filter state after all poses so far are filtered again about the present estimate.
 
-    All poses so far filtered again about the present estimate.
-
     So the filter ends where the batch does, docs/mathematics.md (7)
     """
     assert state.first is not None

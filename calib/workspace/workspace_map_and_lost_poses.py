@@ -42,10 +42,7 @@ class MachineReach:
 
 
 def uncorrected_machine(correction: AnyCorrection) -> AnyCorrection:
-    """Correction of the nominal machine that corrects nothing.
-
-    Nominal, as a Correction that corrects nothing.
-    """
+    """Correction of the nominal machine that corrects nothing."""
     return replace(
         correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=()
     )
@@ -61,8 +58,6 @@ def reachable_poses_and_loss(machine: AnyCorrection, other: AnyCorrection, comma
 
 def is_pose_lost(correction: AnyCorrection, configurations: Floats) -> Booleans:
     """Whether the nominal pose at configurations (n, axes) is out of the corrected machine's reach.
-
-    Out of the corrected machine's reach.
 
     True as well for those that close on no pose
     """

@@ -168,10 +168,7 @@ STILL = 1e-6  # m or rad; commands that differ by less leave the same picture
 
 
 def unused_cameras(recording: Recording) -> Iterator[Mistake]:
-    """Mistakes: cameras of rig.toml without any frame or corner in the recording.
-
-    Cameras of rig.toml without any frame.
-    """
+    """Mistakes: cameras of rig.toml without any frame or corner in the recording."""
     e, c = recording.exposures, recording.corners
     for camera in recording.design.cameras:
         if camera.name not in e.camera:

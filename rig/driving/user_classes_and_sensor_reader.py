@@ -90,10 +90,7 @@ def missing_member(kind: type[object], base: type[object], members: tuple[str, .
 
 
 def user_class_error(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
-    """FileError, with the line, at a class of a user's file or at a name in its body.
-
-    With the line.
-    """
+    """FileError, with the line, at a class of a user's file or at a name in its body."""
     text = Path(path).read_text(encoding="utf-8")
     return FileError(path, f"{kind.__name__} {message}", line_of_class(text, kind.__name__, field))
 

@@ -178,7 +178,6 @@ def times_resampled_for_small_tilt_steps(
 ) -> Floats:
     """Log times (m,) s, with more inserted so that no tilt turns by more than LARGEST_TURN from one to the next.
 
-    Of a log's rows and of as many between as make no tilt turn by more than LARGEST_TURN at once.
     t : (n,) s; channels : {name: (n,) values}, linear between rows
     """
     turns = np.max([np.abs(np.diff(tilt.angle(channels[tilt.channel]))) for tilt in tilts], axis=0)

@@ -240,10 +240,7 @@ def strut_elongations_of_platform_sway(design: Design, T: RigidTransform, sway: 
 
 
 def has_rolling_shutter(design: Design, effects: Iterable[Effect]) -> bool:
-    """Whether a camera has a rolling shutter, stated in the design or by an effect.
-
-    Stated or by an effect, so that velocities matter.
-    """
+    """Whether a camera has a rolling shutter, stated in the design or by an effect."""
     return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
 
 

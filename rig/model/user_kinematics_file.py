@@ -282,7 +282,6 @@ def _turn(axis: int, angle: float | complex) -> Floats:
 def stated_kinematics(source: str, name: str) -> KinematicsFile:
     """KinematicsFile of a source text, run, its statements checked but its functions not yet called.
 
-    What it states is checked, but its functions are not yet called.
     name : of its file, in errors. Raises FileError with the line of what is wrong
     """
     module = ModuleType(f"kinematics_{sha256(source.encode()).hexdigest()[:16]}")

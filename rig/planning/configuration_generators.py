@@ -143,9 +143,7 @@ def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
 def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL) -> Floats:
     """Configurations (n, axes) at the centre, the axis ends and half of the corners of the strokes, in shells.
 
-    Centre, axis ends, corners.
-    strokes : (axes, 2) m or rad axes' ends and the corners of a half fraction of the cube, which together split it
-    into simplices.
+    The corners are a half fraction of the cube's, which with the ends split it into simplices.
     strokes : (axes, 2) m or rad
     """
     axes = len(strokes)

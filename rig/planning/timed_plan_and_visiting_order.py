@@ -48,7 +48,7 @@ def time_balanced_order(configurations: Floats, rng: np.random.Generator) -> Int
     order = rng.permutation(n)
     if n < 4:
         return order
-    place, _ = _place(configurations)
+    place = _place(configurations)[0]
     smooth = _apart(place[:, : 2 * configurations.shape[1]])  # a drift goes with time, and is no matter of halves
     time = _standard(np.column_stack([np.linspace(-1, 1, n), np.linspace(-1, 1, n) ** 2]))
     for _ in range(ROUNDS):

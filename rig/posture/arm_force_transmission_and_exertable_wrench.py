@@ -137,10 +137,7 @@ def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def weakest_force_and_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
-    """Greatest force, N, exertable in every direction, and the direction (3,) in which no more is.
-
-    Returns (force N exertable in every direction, (3,) direction of no more)
-    """
+    """Greatest force, N, exertable in every direction, and the direction (3,) in which no more is."""
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)
     i = int(bearing.argmin())

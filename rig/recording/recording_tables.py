@@ -345,10 +345,11 @@ def write_configurations(
 
     reached_from : (k, axes) m or rad from which each is approached, written as rows without a frame before it; or None
     """
-    starts = [] if reached_from is None else [("", row) for row in reached_from]
-    goals = [(str(k), row) for k, row in enumerate(configurations)]
-    rows = goals if reached_from is None else [row for pair in zip(starts, goals) for row in pair]
-    lines = [f"{frame}," + ",".join(f"{value:.7f}" for value in row) for frame, row in rows]
+    rows: list[tuple[object, ...]] = []
+    for k, values in enumerate(configurations):
+        rows += [] if reached_from is None else [("", *reached_from[k])]
+        rows.append((k, *values))
+    lines = [f"{frame}," + ",".join(f"{value:.7f}" for value in row) for frame, *row in rows]
     write_table(path, ("frame", *axis_names), lines)
 
 

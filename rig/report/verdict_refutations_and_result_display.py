@@ -153,10 +153,7 @@ def worst_state(states: Sequence[State]) -> State:
 
 
 def exit_status(verdict: Verdict) -> int:
-    """Exit status by the verdict on an earlier result: REFUTED where it is bad, else 0.
-
-    REFUTED where the verdict is bad, else 0.
-    """
+    """Exit status by the verdict on an earlier result: REFUTED where it is bad, else 0."""
     return REFUTED if verdict.state == State.BAD else 0
 
 

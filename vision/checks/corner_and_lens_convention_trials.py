@@ -113,7 +113,6 @@ def _select_corners(corners: Corners, mask: Booleans) -> Corners:
 def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
     """Trial of a sample of frames, measured with cameras and lenses adjusted as by `rig measure`.
 
-    The sampled frames, cameras and lenses adjusted as by `rig measure`.
     free : see vision.bundle.bundle_adjustment
     """
     known = np.isin(sample.corners.marker, [number for target in sample.design.targets for number in target.ids])

@@ -64,8 +64,6 @@ def make_corner_mistake_refusal(
 ) -> Callable[[Corners], None]:
     """Make the function that refuses a recording whose corners, once read, show mistakes.
 
-    A recording is refused whose corners, once read, are spoilt by mistakes.
-
     As `refuse_mistakes` does.
     """
 

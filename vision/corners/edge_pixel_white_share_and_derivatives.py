@@ -1,7 +1,5 @@
 """Predicted white share of edge pixels of a square, with derivatives, a strip (batch) of pixels at a time.
 
-At a strip of a square's edge pixels, with its derivatives.
-
 All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
 many pixels at once.
 """

@@ -139,10 +139,7 @@ def _is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:
-    """Score with its delta chi-square raised to that of a fit's likelihood ratio, where that is greater.
-
-    Its delta chi-square is raised, where the ratio is larger.
-    """
+    """Score with its delta chi-square raised to that of a fit's likelihood ratio, where that is greater."""
     delta = likelihood_ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
     if delta <= score.delta_chi2:
         return score

@@ -76,7 +76,7 @@ class Solved(NamedTuple):
     seen: Floats
 
     def part(self, rows: slice) -> "Solved":
-        """Some of them."""
+        """Those of some rows."""
         return Solved(self.delta_chi2[rows], self.coefficients[rows], self.rank[rows], self.seen[rows])
 
     @staticmethod

@@ -125,8 +125,7 @@ def planned_tilt_jacobian(
 ) -> Floats:
     """Jacobian of tilts at planned joint values with the arm's parameters and the sensors' mounting.
 
-    Columns (n, 2 s, p + 3 + 3 s) at q (n, joints): the change of the angles with an arm's parameters and with how the
-    sensors are mounted; 0 where an angle would not be used.
+    Columns (n, 2 s, p + 3 + 3 s) at q (n, joints); 0 where an angle would not be used.
     gravity : (3,) in the frame of poses; pose_jacobian : (n, 6, p) of the target's pose with the parameters
     """
     down = np.tile(gravity / np.linalg.norm(gravity), (len(q), 1))

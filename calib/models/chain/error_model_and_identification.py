@@ -95,12 +95,7 @@ def _moved(stage: Stage, step: Floats) -> Stage:
 
 
 def stage_parameter_change_by_base_motion(stage: Stage) -> Floats:
-    """Columns (p, 6 or 3): change of a stage's parameters by motion of its base frame.
-
-    Columns (p, 6 or 3).
-
-    Change of its parameters with its base frame.
-    """
+    """Columns (p, 6 or 3): change of a stage's parameters by motion of its base frame."""
     return np.eye(len(_stage_parameter_names(stage)), 6) if isinstance(stage, Arm) else base_motion_columns(stage)
 
 

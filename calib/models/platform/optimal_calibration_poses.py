@@ -128,8 +128,6 @@ def solvable_commands_and_whitened_jacobians(
 ) -> tuple[Floats, Floats]:
     """Commands (n, 6) m whose forward kinematics converges, and their whitened parameter Jacobians (n, 6, 42).
 
-    Rows (n, 6, 42) of their parameters.
-
     The rows J give the information J^T J of a configuration.
     """
     commands = np.asarray(commands, float)

@@ -198,7 +198,7 @@ def _print_struts(done: platform_certification.Certified, physics: Physics | Non
     _print_physics(physics)
 
 
-LISTED = 8  # vertices that were not measured, at most
+LISTED = 8  # vertices without a pose that are printed at most
 
 
 def _print_extension(found: ExtendedCorrection) -> None:

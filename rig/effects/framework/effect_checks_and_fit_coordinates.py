@@ -161,10 +161,7 @@ def effects_with_coordinates(
 
 
 def conserved_coordinate_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
-    """Rows (k, c) of sums of fit coordinates that a fit must leave unchanged, as the effects state them.
-
-    Sums that a fit must leave as they are, as the effects state them.
-    """
+    """Rows (k, c) of sums of fit coordinates that a fit must leave unchanged, as the effects state them."""
     rows = [
         [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
         for number, effect in enumerate(effects)
@@ -187,10 +184,7 @@ def _step(p: Parameter) -> float:
 
 
 def inverse_prior_standard_deviation(parameter: Parameter, index: int | None) -> float:
-    """1 / standard deviation of a parameter's prior, 0 for a scalar or a direction.
-
-    0 for a scalar or a direction.
-    """
+    """1 / standard deviation of a parameter's prior, 0 for a scalar or a direction."""
     if index is None or parameter.role == "direction":
         return 0.0
     return 1 / ((SWALLOWED if parameter.name in ("terms", "warp") else LOOSE) * parameter.usual[1])

@@ -1,6 +1,6 @@
-"""Arm of any number of joints: forward and inverse kinematics, and Jacobians.
+"""Arm of any number of joints: forward and inverse kinematics, Jacobians, limits and loads.
 
-Turning or sliding joints: forward and inverse kinematics, Jacobian, limits, loads.
+Joints turn or slide.
 
 Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta), of a slide
 Rz(theta) Tz(d + q) ..

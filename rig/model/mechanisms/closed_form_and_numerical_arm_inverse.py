@@ -91,7 +91,7 @@ class InverseBranches:
 
 
 def closed_form_of_six_joint_arm(arm: Arm) -> SixJointArm:
-    """Closed form (SixJointArm) of the inverse kinematics of a six-joint Arm, RigError where it has none.
+    """Closed form (SixJointArm) of the inverse kinematics of a six-joint Arm.
 
     Raises RigError, with the misfit, for any other.
     """

@@ -230,10 +230,7 @@ def with_random_parameters(mechanism: FileMechanism, rng: np.random.Generator, s
 
 
 def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Derivative (..., axes, k) of minus the axis values by the scaled parameters, at poses (...).
-
-    Change of minus the axis values with the scaled parameters, at poses (...).
-    """
+    """Derivative (..., axes, k) of minus the axis values by the scaled parameters, at poses (...)."""
     poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     free = fitted_parameter_indices(mechanism)
     out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)

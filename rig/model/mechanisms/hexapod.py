@@ -139,10 +139,7 @@ def axis_forces_and_torques(T: RigidTransform, lengths: Floats, hexapod: Hexapod
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
-    """Empty loads (n, struts, 0), as a hexapod has no arm links whose weight its struts bear.
-
-    A hexapod has no arm links, and the base carries the struts.
-    """
+    """Empty loads (n, struts, 0), as a hexapod has no arm links whose weight its struts bear."""
     return np.zeros((*np.shape(lengths), 0))
 
 

@@ -211,9 +211,7 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
 def best_six_legs(legs: RedundantLegs, T: RigidTransform) -> Integers:
     """Indices (6,) of the six legs that determine poses T (n,) best in the worst direction and pose.
 
-    Those that determine poses T (n,) best in the worst direction and pose.
-    Raises RigError
-    where none of them holds the platform
+    Raises RigError where none of them holds the platform
     """
     size = float(np.linalg.norm(legs.platform - legs.platform.mean(axis=0), axis=1).mean())
     J = leg_lengths_and_pose_and_base_jacobians(

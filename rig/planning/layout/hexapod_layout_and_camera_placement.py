@@ -1,6 +1,6 @@
 """Hexapod layouts and camera placement for a new rig.toml, from a few dimensions.
 
-rig.toml layouts of a hexapod or two struts from a few dimensions; cameras and cubes are placed in layouts.
+Also of two struts; cameras and cubes are placed in layouts.
 """
 
 from collections.abc import Iterable

@@ -117,10 +117,7 @@ class Series:
 
 
 def panel_row_html(*figures: str) -> str:
-    """HTML of figures side by side where there is room, else below each other.
-
-    Figures side by side where there is room, else below each other.
-    """
+    """HTML of figures side by side where there is room, else below each other."""
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 

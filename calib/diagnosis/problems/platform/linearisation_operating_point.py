@@ -324,10 +324,7 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
 
 
 def remove_corners_far_from_prediction(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint without the corners too far from their predicted pixels to belong to their marker.
-
-    They are so distant that they belong to something else.
-    """
+    """OperatingPoint without the corners too far from their predicted pixels to belong to their marker."""
     seen = point.seen
     if seen is None:
         return point

@@ -233,19 +233,13 @@ def _own_basis(J_local: Floats, edges: Integers) -> tuple[Floats, Floats]:
 def camera_edge_bias_nuisances(
     nuisance_names: Sequence[tuple[str, str | int]], design: Design
 ) -> list[tuple[int, int]]:
-    """Nuisances that are an edge bias of one camera's images, as [(camera's index, nuisance's index)].
-
-    Returns [(camera's index, freedom's index)]
-    """
+    """Nuisances that are an edge bias of one camera's images, as [(camera's index, nuisance's index)]."""
     cameras = [camera.name for camera in design.cameras]
     return [(cameras.index(name), j) for j, (name, what) in enumerate(nuisance_names) if what == EDGES]
 
 
 def remounted_cube_pose_nuisances(nuisance_names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
-    """Indices of the six nuisances that are the pose of each remounted cube, {cube's place: indices}.
-
-    Returns {cube's place: indices of its six freedoms}
-    """
+    """Indices of the six nuisances that are the pose of each remounted cube, {cube's place: indices}."""
     out: dict[str, list[int]] = {}
     for j, (place, what) in enumerate(nuisance_names):
         if what in SEAT_LABELS:

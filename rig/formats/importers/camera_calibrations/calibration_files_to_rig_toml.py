@@ -29,7 +29,6 @@ LARGEST = 1 << 22  # bytes
 def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
     """Program that wrote a camera calibration file, and the cameras in it (ForeignCameras).
 
-    Returns (program that wrote it, its ForeignCameras)
     Raises FileError, with line and key, for anything that cannot be used.
     """
     root = _root(path)
