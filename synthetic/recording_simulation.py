@@ -128,7 +128,7 @@ def simulate_world(
     return Simulation(world, plan, sensors, log, run)
 
 
-def conflict_of_driven_struts(simulation: Simulation) -> float | None:
+def conflict_of_actuated_struts(simulation: Simulation) -> float | None:
     """Length (m, RMS over exposures and struts) by which more than six driven struts give way to each other.
 
     None for six, and with followers

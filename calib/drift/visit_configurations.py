@@ -94,15 +94,15 @@ def choose_visit_configurations(
     )
     order: list[int] = []
     for k in range(count):
-        order.append(int(np.argmax(information.worth(order, k))))
+        order.append(int(np.argmax(information.log_volumes(order, k))))
         if progress:
             progress(k + 1, count * (1 + PASSES))
     best = -np.inf
     for turn in range(PASSES):
         before = best
         for k in range(count):
-            worth = information.worth(order, k)
-            order[k], best = int(np.argmax(worth)), float(worth.max())
+            log_volumes = information.log_volumes(order, k)
+            order[k], best = int(np.argmax(log_volumes)), float(log_volumes.max())
             if progress:
                 progress(count * (1 + turn) + k + 1, count * (1 + PASSES))
         if best - before < GAINS:
@@ -139,7 +139,7 @@ class _VisitInformation:
         rows = self.rows(np.array(order), previous).reshape(-1, 20)
         return np.asarray(rows.T @ rows + BEFORE)
 
-    def worth(self, order: list[int], k: int) -> Floats:
+    def log_volumes(self, order: list[int], k: int) -> Floats:
         """(n,) logarithm of the volume in which changes are known, were each candidate the k-th of the order."""
         n, every = len(self.candidates), np.arange(len(self.candidates))
         retained = [i for i in range(len(order)) if i not in (k, k + 1)]

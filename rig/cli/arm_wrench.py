@@ -79,8 +79,8 @@ def _print_result(result: WrenchResult) -> None:
 
     from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
 
-    record, plain, felt, value, sigma = result.record, result.plain, result.felt, result.value, result.sigma
-    other_sigma = 2 * np.sqrt(np.einsum("kii->ki", plain[1][result.settled])[felt])
+    record, plain, observable, value, sigma = result.record, result.plain, result.observable, result.value, result.sigma
+    other_sigma = 2 * np.sqrt(np.einsum("kii->ki", plain[1][result.settled])[observable])
     print(
         f"{len(record.motion.t)} readings over {record.motion.t[-1]:.2f} s, "
         f"{'motor currents' if record.current else 'torques'}, speeds "
@@ -90,8 +90,8 @@ def _print_result(result: WrenchResult) -> None:
     print(f"{'':4}{'mean':>10}{'largest':>10}{'+- (k=2)':>10}{'plain mean':>12}{'+- (k=2)':>10}")
     for i, name in enumerate(DIRECTIONS):
         other = (
-            f"{plain[0][result.settled][felt, i].mean():12.3f}{np.sqrt((other_sigma[:, i] ** 2).mean()):10.3f}"
-            if felt.any()
+            f"{plain[0][result.settled][observable, i].mean():12.3f}{np.sqrt((other_sigma[:, i] ** 2).mean()):10.3f}"
+            if observable.any()
             else f"{'-':>12}{'-':>10}"
         )
         print(

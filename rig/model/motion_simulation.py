@@ -138,8 +138,8 @@ def simulate_machine_run(
 def _held_poses(lengths: Floats, mechanism: Mechanism, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform (n,) of lengths or axis values (n, axes): where the driven struts hold it, followers aside."""
     if is_redundant(mechanism) and mechanism.followers:
-        driven = redundant_struts.driven_six(mechanism)
-        return hexapod.forward(lengths[..., redundant_struts.driven_struts(mechanism)], driven, guess)
+        driven = redundant_struts.hexapod_of_actuated_struts(mechanism)
+        return hexapod.forward(lengths[..., redundant_struts.actuated_struts(mechanism)], driven, guess)
     return mechanisms.kinematics_of(mechanism).forward(lengths, mechanism, guess)
 
 

@@ -81,7 +81,7 @@ class WrenchResult(OneLineRepr):
         return np.sqrt(np.einsum("kii->ki", self.observed.covariance[0][self.settled]))
 
     @property
-    def felt(self) -> Booleans:
+    def observable(self) -> Booleans:
         """(k,) at which settled readings the posture feels every wrench."""
         return np.isfinite(self.plain[2][self.settled])
 
@@ -162,9 +162,9 @@ def _plain(record: TorqueRecord, design: Design, sigma: Floats, links: LinkMasse
     )
     mass = arm_dynamics_and_step_by_step_kinematics.mass_matrix(q, arm, links)
     own = (mass * record.acceleration_sigma**2) @ np.swapaxes(mass, 1, 2) + np.diag(np.square(sigma))
-    felt = is_wrench_observable(q, arm, own)
+    observable = is_wrench_observable(q, arm, own)
     value, covariance, left = np.full((len(q), 6), np.nan), np.full((len(q), 6, 6), np.nan), np.full(len(q), np.nan)
-    if felt.any():
-        found = estimate_wrench(torque[felt], q[felt], arm, own[felt])
-        value[felt], covariance[felt], left[felt] = found.value, found.covariance, found.left
+    if observable.any():
+        found = estimate_wrench(torque[observable], q[observable], arm, own[observable])
+        value[observable], covariance[observable], left[observable] = found.value, found.covariance, found.left
     return value, covariance, left

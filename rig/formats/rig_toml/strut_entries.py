@@ -6,7 +6,7 @@ from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Hexapod, Planar2
 from rig.model.mechanisms.hexapod import singular_geometry_problem
-from rig.model.mechanisms.redundant_struts import driven_six
+from rig.model.mechanisms.redundant_struts import hexapod_of_actuated_struts
 
 SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
 
@@ -38,7 +38,7 @@ def hexapod_of_table(table: Entries) -> Hexapod:
                 f"strut_range {low * per_m:.10g} .. {high * per_m:.10g} {unit}",
                 "home",
             )
-    for which in (hexapod, driven_six(hexapod)) if hexapod.followers else (hexapod,):
+    for which in (hexapod, hexapod_of_actuated_struts(hexapod)) if hexapod.followers else (hexapod,):
         if singular_geometry_problem(which):
             whose = "" if which is hexapod else " with the driven struts alone"
             table.fail(f"{table.name('home')}{whose} {singular_geometry_problem(which)}", "home")

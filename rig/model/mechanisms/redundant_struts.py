@@ -45,9 +45,9 @@ def with_follower_struts_of(mechanism: C, recorded_mechanism: Mechanism | None) 
     )
 
 
-def driven_six(hexapod: Hexapod) -> Hexapod:
+def hexapod_of_actuated_struts(hexapod: Hexapod) -> Hexapod:
     """The hexapod of the six struts that are driven, without its followers."""
-    driven = driven_struts(hexapod)
+    driven = actuated_struts(hexapod)
     return Hexapod(
         hexapod.base_joints[driven],
         hexapod.platform_joints[driven],
@@ -57,7 +57,7 @@ def driven_six(hexapod: Hexapod) -> Hexapod:
     )
 
 
-def driven_struts(hexapod: Hexapod) -> Integers:
+def actuated_struts(hexapod: Hexapod) -> Integers:
     """Numbers (k,), from 0, of the struts that are driven."""
     return np.setdiff1d(np.arange(len(hexapod.axes)), hexapod.followers)
 
