@@ -135,7 +135,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """None: two struts have no arm links to draw."""
+    """None, whatever the lengths (n, 2) m: two struts have no arm links to draw."""
     return None
 
 
