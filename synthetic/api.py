@@ -125,7 +125,7 @@ class SimulationResult(OneLineRepr):
         plan = self.simulation.plan
         names = ", ".join(f"{effect.name} at {effect.place}" for effect in self.effects) or "none"
         message = f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}"
-        conflict = recording_simulation.conflict_of_actuated_struts(self.simulation)
+        conflict = recording_simulation.rms_length_conflict_of_actuated_struts(self.simulation)
         if conflict is None:
             return message
         return f"{message}; struts press against each other: each gives way by {quantity_text(conflict, 'm')} RMS"

@@ -352,7 +352,7 @@ def write_recording(case: DrawnCase, folder: Path) -> None:
             return disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
 
     images = None if case.image_settings is None else case.image_settings.images
-    simulation.write_recording(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
+    simulation.write_recording(case.simulation, folder, case.text, case.rng, case.noise, images, corrupt_corners=spoil)
 
 
 def simulated_corners(case: DrawnCase) -> Corners:

@@ -223,7 +223,7 @@ def cut_line_matplotlib_style() -> Json:
     return {"color": "black", "lw": 0.5, "ls": "-"}
 
 
-def fold_line_style() -> Json:
+def fold_line_matplotlib_style() -> Json:
     """Line style of a fold line, as matplotlib arguments."""
     return {"color": "0.45", "lw": 0.5, "ls": (0, (4, 3))}
 
@@ -237,7 +237,7 @@ def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -
         start = (LEFT, MARGIN) if along == 0 else (MARGIN, MARGIN + FOOT)
         _ruler(axes, start, along)
     x, y = LEFT + RULER + 6, MARGIN + 2
-    for text, style in (("cut", cut_line_matplotlib_style()), ("fold", fold_line_style())):
+    for text, style in (("cut", cut_line_matplotlib_style()), ("fold", fold_line_matplotlib_style())):
         axes.plot([x, x + 10], [y, y], **style)
         axes.text(x + 11.5, y, text, fontsize=7, va="center")
         x += 21

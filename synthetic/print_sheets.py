@@ -34,7 +34,7 @@ from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     cut_line_matplotlib_style,
     draw_assembly_page,
     draw_rulers_and_legend,
-    fold_line_style,
+    fold_line_matplotlib_style,
     usable_area,
 )
 from vision.predict import marker_cells
@@ -252,7 +252,7 @@ def _piece(axes: Axes, origin: Floats, target: Target, piece: Piece, size: Size)
             if (face, side) in piece.flaps:
                 _flap(axes, a, b, size.flap * np.array(SIDES[side]))
             elif (face, side) in piece.folds:
-                axes.plot(*zip(a, b), **fold_line_style())
+                axes.plot(*zip(a, b), **fold_line_matplotlib_style())
             elif tuple(np.add(NET[face], SIDES[side])) not in {NET[other] for other in piece.faces}:
                 axes.plot(*zip(a, b), **cut_line_matplotlib_style())
 
@@ -269,7 +269,7 @@ def _flap(axes: Axes, a: Floats, b: Floats, out: Floats) -> None:
     ends = [a, a + out + inward, b + out - inward, b]
     axes.add_patch(Polygon(ends, closed=True, fc="0.93", ec="none", zorder=0.5))
     axes.plot(*zip(*ends), **cut_line_matplotlib_style())
-    axes.plot(*zip(a, b), **fold_line_style())
+    axes.plot(*zip(a, b), **fold_line_matplotlib_style())
 
 
 def _marker(axes: Axes, middle: Floats, side: float, dictionary: str, number: int) -> None:

@@ -128,7 +128,7 @@ def simulate_world(
     return Simulation(world, plan, sensors, log, run)
 
 
-def conflict_of_actuated_struts(simulation: Simulation) -> float | None:
+def rms_length_conflict_of_actuated_struts(simulation: Simulation) -> float | None:
     """Length (m, RMS over exposures and struts) by which more than six driven struts give way to each other.
 
     None for six, and with followers
@@ -284,18 +284,18 @@ def noisy_corners(simulation: Simulation, noise: float, rng: np.random.Generator
 def write_recording(
     simulation: Simulation,
     out: Path,
-    text: str,
+    rig_toml_text: str,
     rng: np.random.Generator,
     noise: float = 0.0,
     images: PictureWriter | None = None,
     progress: Callable[[int, int], None] | None = None,
-    spoil: Callable[[Corners], Corners] | None = None,
+    corrupt_corners: Callable[[Corners], Corners] | None = None,
 ) -> None:
     """Write the recording folder of a simulation as its owner would have it.
 
-    out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : what renders them
-    progress : called with (done, of) pictures, or None; spoil : what happens to Corners (-> Corners) before they are
-        written, or None
+    out : folder; rig_toml_text : the owner's rig.toml; noise : px, to write corners; or images : what renders them
+    progress : called with (done, of) pictures, or None; corrupt_corners : what happens to Corners (-> Corners) before
+        they are written, or None
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -304,7 +304,7 @@ def write_recording(
         t: plan.origin.text(round(t, 6))
         for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}
     }
-    write_text(out / "rig.toml", rig_toml_with_turns(text, quarter_turns_of_cubes(simulation.world.stated)))
+    write_text(out / "rig.toml", rig_toml_with_turns(rig_toml_text, quarter_turns_of_cubes(simulation.world.stated)))
     write_kinematics_file(out, simulation.world.stated.mechanism)
     write_table(
         out / "commands.csv",
@@ -341,7 +341,7 @@ def write_recording(
         return
     if images is None:
         seen = noisy_corners(simulation, noise, rng)
-        write_corners(out / "corners.csv", spoil(seen) if spoil else seen)
+        write_corners(out / "corners.csv", corrupt_corners(seen) if corrupt_corners else seen)
     else:
         images.write_pictures(simulation, out, int(rng.integers(1 << 62)), progress)
 

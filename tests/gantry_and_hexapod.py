@@ -4,7 +4,7 @@ import numpy as np
 
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.planning.layout.hexapod_layout_and_camera_placement import cube_lines
+from rig.planning.layout.hexapod_layout_and_camera_placement import cube_toml_lines
 
 GANTRY = """[mechanism]
 kind = "chain"
@@ -25,7 +25,7 @@ def carriage_cubes(edge=0.07, radius=0.3):
     angles = 0.9 + np.pi / 4 + np.array([0, 2, 4]) * np.pi / 3
     return "".join(
         "\n".join(
-            cube_lines(
+            cube_toml_lines(
                 f"C{k + 1}",
                 "stage 1",
                 "DICT_4X4_100",

@@ -15,7 +15,7 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
+from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
@@ -111,7 +111,7 @@ class MeasurementResult(OneLineRepr):
         write_text(folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text)
         write_kinematics_file(folder, recording.design.mechanism)
         hands = hand_names(recording.design.mechanism)
-        hand = np.full(len(m.frames), hands.index(seen_hand(recording.design.mechanism))) if hands else None
+        hand = np.full(len(m.frames), hands.index(selected_hand_name(recording.design.mechanism))) if hands else None
         poses = Poses(m.frames, m.T_base_platform, m.covariance, hand=hand)
         recording_tables.write_poses(folder / "poses.csv", poses, hands)
         write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)

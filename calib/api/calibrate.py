@@ -35,8 +35,11 @@ from calib.diagnosis.findings_refit import (
     findings_with_missing_instrument_effects_added,
     load_findings,
 )
-from calib.diagnosis.physics_left_out_of_calibration import calibration_with_left_out_physics, mark_as_not_searched
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import fit_of_measured_effects
+from calib.diagnosis.physics_left_out_of_calibration import (
+    calibration_with_left_out_physics,
+    mark_as_not_searched_for_left_out_physics,
+)
+from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import fit_of_effects_shown_by_instruments
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page_and_c_source as arm_page
@@ -284,7 +287,7 @@ def _calibrated(
         return _extended(recording, sampled, options, options.extend, rng, progress)
     pointing = sampled.samples.measured == "direction"
     if findings is None and (options.with_findings or pointing and not options.quick):
-        instrument_fit = fit_of_measured_effects(recording, sampled)
+        instrument_fit = fit_of_effects_shown_by_instruments(recording, sampled)
         searched = sampled if instrument_fit is None else replace(sampled, samples=instrument_fit.samples)
         requested = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
         findings = findings_of_diagnosis(diagnose(recording, requested, progress))
@@ -379,7 +382,7 @@ def _searched(
     if options.limbs is not None:
         return calibration
     return (
-        mark_as_not_searched(calibration)
+        mark_as_not_searched_for_left_out_physics(calibration)
         if options.quick
         else calibration_with_left_out_physics(calibration, recording, sampled, progress)
     )

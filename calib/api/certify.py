@@ -25,7 +25,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence,
     check_claim_on_recording,
     evidence_with_confounds,
-    evidence_with_displaced_ends,
+    evidence_with_displaced_base_or_tool,
     evidence_with_verification,
 )
 from calib.certification.platform_certification import Progress
@@ -37,7 +37,7 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.model.hands_effect_places_and_tolerances import seen_hand
+from rig.model.hands_effect_places_and_tolerances import selected_hand_name
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
@@ -137,7 +137,7 @@ def certify(
     Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    hands = dict.fromkeys(seen_hand(recording.design.mechanism) for recording in every)
+    hands = dict.fromkeys(selected_hand_name(recording.design.mechanism) for recording in every)
     if len(hands) > 1:
         raise RigError(f"a certificate is of one hand, and these recordings are of {' and '.join(map(str, hands))}")
     calibration = calibration.of_recorded_hand(every[0].design.mechanism)
@@ -154,7 +154,7 @@ def certify(
         found = calibration_certificate(calibration, held, options, source, np.random.default_rng(SEED))
     known, claims = _against_claim(calibration, held, refutations)
     for recording_name, ends in unexpected:
-        known = evidence_with_displaced_ends(known, ends, recording_name)
+        known = evidence_with_displaced_base_or_tool(known, ends, recording_name)
     refuting = tuple((one.recording, refutation_sentence(one.found)) for one in claims if one.found.refutes)
     lines = (*(f"this certificate is of the hand {name!r} alone" for name in hands if name is not None), *lines)
     return CertificationResult(replace(found, known=known, claims=claims, displacement=lines), tuple(held), refuting)

@@ -34,7 +34,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_redundant,
     require_arm,
     require_hexapod,
-    require_platform,
+    require_hexapod_or_redundant_hexapod,
 )
 from rig.recording.recording_folder import Sensors, load_recording
 from rig.recording.recording_tables import COVARIANCE_COLUMNS, POSE_COLUMNS
@@ -284,9 +284,9 @@ def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
         "urdf": lambda: (
             urdf_and_sdf.arm_urdf(require_arm(mechanism), path.stem)
             if mechanism.link_rows is not None
-            else urdf_and_sdf.hexapod_urdf(require_platform(mechanism), path.stem)
+            else urdf_and_sdf.hexapod_urdf(require_hexapod_or_redundant_hexapod(mechanism), path.stem)
         ),
-        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_platform(mechanism), path.stem),
+        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod_or_redundant_hexapod(mechanism), path.stem),
         "json": lambda: geometry_and_camera_files.geometry_json(_exported(mechanism)),
         "csv": lambda: geometry_and_camera_files.geometry_csv(_exported(mechanism)),
     }[kind]()
@@ -390,4 +390,6 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
     require_one_hand(mechanism, "geometry is exported")
-    return require_arm(mechanism) if mechanism.link_rows is not None else require_platform(mechanism)
+    return (
+        require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod_or_redundant_hexapod(mechanism)
+    )

@@ -59,7 +59,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod,
 )
 from rig.planning.configuration_generators import evenly_spread_configurations
-from rig.planning.plan import agreeing_commands, axis_strokes, build_plan, sensors_with_payload
+from rig.planning.plan import axis_strokes, build_plan, nearest_compatible_commands, sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan, balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import Sensors
 from vision.predict import marker_map, visible_marker_counts_over_all_cameras
@@ -325,7 +325,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
             avoided = geometry_and_excluded_configurations(options, require_hexapod(design.mechanism))[1]
             while avoided is not None and (lost := avoided(found.values - lengths)).any():  # the goals are allowed
                 lengths[lost] /= 2
-        reached_from = agreeing_commands(found.values - lengths, design)
+        reached_from = nearest_compatible_commands(found.values - lengths, design)
     before = np.vstack([strokes.mean(axis=1), found.values[:-1]]) if reached_from is None else reached_from
     confounds = confounds_of_configurations(found.values, before, design.mechanism)
     return replace(found, confounds=confounds, reached_from=reached_from)

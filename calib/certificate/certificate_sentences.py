@@ -226,13 +226,13 @@ def iso230_symbol_values(axis: AxisTest) -> list[tuple[str, float | None]]:
     ]
 
 
-def expanded_uncertainty_text(total: Expanded) -> str:
-    """Text of an expanded uncertainty, the budget's total, with its coverage factors."""
-    position = f"U = {micrometre_text(total.position)} (k = {total.k[0]:.2f})"
+def expanded_uncertainty_text(expanded_uncertainty: Expanded) -> str:
+    """Text of an expanded uncertainty, that of the whole budget, with its coverage factors."""
+    position = f"U = {micrometre_text(expanded_uncertainty.position)} (k = {expanded_uncertainty.k[0]:.2f})"
     return (
         position
-        if total.rotation is None
-        else f"{position} and {_microradian_text(total.rotation)} (k = {total.k[1]:.2f})"
+        if expanded_uncertainty.rotation is None
+        else f"{position} and {_microradian_text(expanded_uncertainty.rotation)} (k = {expanded_uncertainty.k[1]:.2f})"
     )
 
 

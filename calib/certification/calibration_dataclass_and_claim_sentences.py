@@ -22,7 +22,7 @@ from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import number_text
-from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
+from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
 from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.recording.recording_folder import Recording
@@ -237,7 +237,7 @@ class Calibration(OneLineRepr):
 
         Raises RigError for a hand that the calibrated arm does not have
         """
-        name = seen_hand(mechanism)
+        name = selected_hand_name(mechanism)
         return self if name is None and not hand_names(self.correction.nominal) else self.of_hand(name or "")
 
     def with_physics(self, recording: Recording, samples: Samples) -> Samples:

@@ -105,7 +105,9 @@ def calibration_evidence(
     )
 
 
-def evidence_with_displaced_ends(evidence: Evidence, names: Sequence[str], recording_name: str = "") -> Evidence:
+def evidence_with_displaced_base_or_tool(
+    evidence: Evidence, names: Sequence[str], recording_name: str = ""
+) -> Evidence:
     """Evidence with displaced base or tool.
 
     With what stands elsewhere in a recording though its place is stated ("base", "tool").
@@ -237,11 +239,11 @@ class AgainstClaim:
 
 
 def check_claim_on_recording(
-    calibration: Calibration, recording: str, samples: Samples, rng: np.random.Generator
+    calibration: Calibration, recording_name: str, samples: Samples, rng: np.random.Generator
 ) -> AgainstClaim | None:
     """Check of a calibration's claim on a recording's samples, None where no factor is claimed.
 
-    recording : its name
+    recording_name : its name
     """
     found = verify_claim_on_samples(calibration, samples, rng)
     if found is None or calibration.claim is None or calibration.claim.after is None:
@@ -259,4 +261,4 @@ def check_claim_on_recording(
         None if judged is None else beyond(part)
         for judged, part in ((found.position, slice(0, 3)), (found.rotation, slice(3, 6)))
     ]
-    return AgainstClaim(recording, found, (sizes[0], sizes[1]), calibration.claim.after)
+    return AgainstClaim(recording_name, found, (sizes[0], sizes[1]), calibration.claim.after)

@@ -192,12 +192,12 @@ def _counted(distinct: int) -> str:
     return f"{distinct} distinct configuration" + ("" if distinct == 1 else "s")
 
 
-def draw_variance_ratio(cost: float, freedom: int, count: int, rng: np.random.Generator) -> Floats:
+def draw_variance_ratio(cost: float, degrees_of_freedom: int, count: int, rng: np.random.Generator) -> Floats:
     """Draws (count,) of the ratio of true to stated variances, by a cost and its degrees of freedom.
 
-    cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
+    cost : whitened squares of a fit, its priors' included; degrees_of_freedom : how many numbers were fitted
     """
-    return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
+    return (TRUSTED + cost) / rng.chisquare(TRUSTED + degrees_of_freedom, count)
 
 
 def strut_machine_workspace_claim(

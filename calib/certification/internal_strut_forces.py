@@ -36,14 +36,19 @@ class StrutConflict:
         )
 
 
-def strut_conflict(calibration: Calibration, samples: Samples, recorded: Mechanism) -> StrutConflict | None:
+def strut_conflict(calibration: Calibration, samples: Samples, recorded_mechanism: Mechanism) -> StrutConflict | None:
     """StrutConflict of a calibration at samples that were not used for it.
 
-    recorded : the mechanism of their recording. None for six struts, and where it had no followers: then all lengths
+    recorded_mechanism : that of their recording. None for six struts, and where it had no followers: then all lengths
     are commanded, and none is read
     """
     nominal, fitted = calibration.correction.nominal, calibration.correction.fitted
-    if not (is_redundant(recorded) and recorded.followers and is_redundant(nominal) and is_redundant(fitted)):
+    if not (
+        is_redundant(recorded_mechanism)
+        and recorded_mechanism.followers
+        and is_redundant(nominal)
+        and is_redundant(fitted)
+    ):
         return None
     T, count = samples.T_base_platform, len(nominal.axes)
     corrected = samples.effective - calibration.correction.rho(samples.effective)

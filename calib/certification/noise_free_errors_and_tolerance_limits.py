@@ -48,7 +48,9 @@ def _reachable_confidence_and_coverage(n: int, coverage: float = 0.95, confidenc
     return 1 - coverage**n, (1 - confidence) ** (1 / n) if n else 0.0
 
 
-def require_sample_size(n: int, coverage: float, confidence: float, what: str = "distinct configurations") -> None:
+def require_sample_size(
+    n: int, coverage: float, confidence: float, sample_description: str = "distinct configurations"
+) -> None:
     """Raise NotEnoughData where n is below the required sample size (`least_sample_size`)."""
     least = least_sample_size(coverage, confidence)
     if n < least:
@@ -61,12 +63,12 @@ def require_sample_size(n: int, coverage: float, confidence: float, what: str = 
             else ""
         )
         raise NotEnoughData(
-            f"{n} {what} held out and at rest; that {coverage:.0%} of poses lie within a bound requires {least} with "
-            f"{confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record")
+            f"{n} {sample_description} held out and at rest; that {coverage:.0%} of poses lie within a bound requires "
+            f"{least} with {confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record")
         )
 
 
-def count_beyond_upper_limit(n: int, coverage: float, confidence: float) -> float:
+def count_beyond_upper_tolerance_limit(n: int, coverage: float, confidence: float) -> float:
     """Number of n values beyond the upper tolerance limit, as a real number of at least 0.
     Raises NotEnoughData for fewer than `least_sample_size`
     """
@@ -108,7 +110,7 @@ def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: fl
     Raises NotEnoughData for fewer than `least_sample_size`
     """
     n = len(values)
-    return _at(np.sort(values), n - count_beyond_upper_limit(n, coverage, confidence))
+    return _at(np.sort(values), n - count_beyond_upper_tolerance_limit(n, coverage, confidence))
 
 
 def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
@@ -128,12 +130,12 @@ def _at(ordered: Floats, rank: float) -> float:
     return float(ordered[low - 1] + (rank - low) * (ordered[high - 1] - ordered[low - 1]))
 
 
-def coverage_log_likelihood_drop(n: int, beyond_it: float, coverage: float) -> float:
+def coverage_log_likelihood_drop(n: int, count_beyond_limit: float, coverage: float) -> float:
     """Drop of the log likelihood when `coverage` is forced on a limit.
 
-    A limit that `beyond_it` of n values exceed.
+    A limit that `count_beyond_limit` of n values exceed.
     """
-    share = beyond_it / n
+    share = count_beyond_limit / n
     return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))
 
 
@@ -320,7 +322,7 @@ def tolerance_limits_of_true_errors(
     middle = float(
         found.depth[free.at[order[min(int(np.searchsorted(np.cumsum(free.weights[order]), coverage)), len(order) - 1)]]]
     )
-    allowed = coverage_log_likelihood_drop(n, count_beyond_upper_limit(n, coverage, confidence), coverage)
+    allowed = coverage_log_likelihood_drop(n, count_beyond_upper_tolerance_limit(n, coverage, confidence), coverage)
     high = _crossing(found, free, allowed, 1 - coverage, middle, True)
     k = count_beyond_lower_tolerance_limit(n, coverage, confidence)
     low = (

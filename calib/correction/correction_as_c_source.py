@@ -20,7 +20,7 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.correction_fields_as_c_functions import (
     CTables,
     define_field_functions,
-    radial_functions,
+    gaussian_process_c_functions,
     wrapped_number_lines,
 )
 from calib.correction.interpolation.field_interface_and_combinations import Field
@@ -130,7 +130,7 @@ def correction_c_source(
         geometry.array(name, values, shape=f"[6][{values.shape[1]}]")
     geometry.array("ZERO", fitted.strut_zeros, shape="[6]")
     geometry.array("GAP", gaps, shape="[6]")
-    parts = [radial_functions(tables, one) for one in correction.remainder if one is not None]
+    parts = [gaussian_process_c_functions(tables, one) for one in correction.remainder if one is not None]
     settled = append_add_remainder_c_function(tables, correction.extension, parts)
     maps = _pose_maps(tables, correction)
     return CSource(

@@ -85,7 +85,12 @@ def define_field_functions(tables: CTables, correction_field: Field) -> list[str
     if isinstance(correction_field, SummedPasses):
         return [name for part in correction_field.fields for name in define_field_functions(tables, part)]
     if isinstance(correction_field, RadialMap):
-        return [name for part in correction_field.parts if part is not None for name in radial_functions(tables, part)]
+        return [
+            name
+            for part in correction_field.parts
+            if part is not None
+            for name in gaussian_process_c_functions(tables, part)
+        ]
     if isinstance(correction_field, RestrictedMap):
         return _restricted(tables, correction_field)
     number = tables.number()
@@ -142,7 +147,7 @@ def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
     return [f"add_field_{number}"]
 
 
-def radial_functions(tables: CTables, part: Radial) -> list[str]:
+def gaussian_process_c_functions(tables: CTables, part: Radial) -> list[str]:
     """C functions that add a Gaussian process (radial functions).
 
     Returns the name of the one; its samples and weights stand in a table

@@ -51,8 +51,12 @@ def strut_correction_summands(samples: Samples, nominal: Parallel) -> Correction
     )
 
 
-def summands_by_nearest_axis_values(
-    frame: Integers, values: Floats, model: Callable[[Floats], tuple[Floats, Floats]], covariance: Floats, near: Floats
+def correction_summands_by_nearest_axis_values(
+    frame: Integers,
+    values: Floats,
+    model: Callable[[Floats], tuple[Floats, Floats]],
+    covariance: Floats,
+    expected_model_error: Floats,
 ) -> CorrectionSummands:
     """Correction summands of axes at samples: commands less those nearest values at which a model meets the
     measurements.
@@ -61,26 +65,26 @@ def summands_by_nearest_axis_values(
     positions alone, or more axes than freedoms leave open takes the least values. Variances of what is not determined
     are those of the worst that is.
     frame : (n,) numbers; values : (n, axes) m or rad, commanded; model : values -> (measured less predicted (n, k),
-        change of what is predicted (n, k, axes)); covariance : (n, k, k) of what was measured; near : (axes,) m or
-        rad by which the model may be off, and by which the values of different axes are compared
+        change of what is predicted (n, k, axes)); covariance : (n, k, k) of what was measured;
+        expected_model_error : (axes,) m or rad by which the model may be off, and different axes' values are compared
     Raises RigError naming a frame whose pose the model does not come to
     Source: configuration-space patent, [0026]; damped where undetermined as by truncated singular values, Hansen,
         Rank-deficient and discrete ill-posed problems, 1998, ch. 3
     """
     W = np.linalg.inv(np.linalg.cholesky(covariance))
     left, J = model(values)
-    U, s, Vt = np.linalg.svd(W @ J * near)
+    U, s, Vt = np.linalg.svd(W @ J * expected_model_error)
     worst = 1 / np.maximum(s[:, min(U.shape[1], Vt.shape[1]) - 1], 1e-300)
     limit = min(LOOSE * float(np.median(worst)), 1.0)
-    x, V = values / near, np.swapaxes(Vt, 1, 2)
+    x, V = values / expected_model_error, np.swapaxes(Vt, 1, 2)
     across, along = np.swapaxes(U[..., : s.shape[1]], 1, 2), V[..., : s.shape[1]]
     far = np.abs(across @ (W @ left[..., None]))[..., 0]
     determined = (s * limit >= 1) & (far <= s)
     across, along = across * determined[..., None], along * determined[:, None]
     undetermined = np.eye(s.shape[1]) * ~determined[:, None]
     for _ in range(STEPS):  # Newton along the directions that are determined
-        left, J = model(x * near)
-        rest = across @ W @ np.concatenate([J * near @ along, left[..., None]], axis=2)
+        left, J = model(x * expected_model_error)
+        rest = across @ W @ np.concatenate([J * expected_model_error @ along, left[..., None]], axis=2)
         step = (along @ np.linalg.solve(rest[..., :-1] + undetermined, rest[..., -1:]))[..., 0]
         x += step
         if np.abs(step).max() < SETTLED:
@@ -94,7 +98,9 @@ def summands_by_nearest_axis_values(
     variances = np.full((len(x), Vt.shape[1]), limit**2)
     variances[:, : s.shape[1]] = np.where(determined, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
     own = (V * variances[:, None]) @ np.swapaxes(V, 1, 2)
-    return CorrectionSummands(values - x * near, own * np.outer(near, near))
+    return CorrectionSummands(
+        values - x * expected_model_error, own * np.outer(expected_model_error, expected_model_error)
+    )
 
 
 def correction_summand_table_rows(samples: Samples, summands: CorrectionSummands) -> Iterator[str]:

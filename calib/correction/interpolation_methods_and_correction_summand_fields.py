@@ -97,60 +97,62 @@ def _part(table: Entries, axes: int) -> SpacePart:
         table.fail(f"{table.name('low')}: {error}", "low")
 
 
-def field_from_entries(table: Entries, axes: int) -> Field:
+def field_from_entries(entries: Entries, axes: int) -> Field:
     """Field over so many axes from its entries, as `field_to_dict` gives them.
 
     Raises FileError for anything else.
     """
-    named = table.text("kind", (*METHODS, SummedPasses.kind, RestrictedMap.kind))
+    named = entries.text("kind", (*METHODS, SummedPasses.kind, RestrictedMap.kind))
     if named == SummedPasses.kind:
-        return SummedPasses(tuple(field_from_entries(one, axes) for one in table.tables("fields")))
+        return SummedPasses(tuple(field_from_entries(one, axes) for one in entries.tables("fields")))
     if named == RestrictedMap.kind:
-        return RestrictedMap(field_from_entries(table.table("field"), axes), _part(table, axes))
-    kind = METHODS[table.text("kind", tuple(METHODS))]
+        return RestrictedMap(field_from_entries(entries.table("field"), axes), _part(entries, axes))
+    kind = METHODS[entries.text("kind", tuple(METHODS))]
     build: Callable[..., Field] = kind
     if kind is RadialMap:
-        parts = _ragged(table, "parts")
+        parts = _ragged(entries, "parts")
         found = [
             None
             if one is None
-            else gaussian_process_from_entries(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
+            else gaussian_process_from_entries(
+                Entries(one, (*entries.path, "parts", i), entries.file, entries.places), axes
+            )
             for i, one in enumerate(parts)
             if one is None or isinstance(one, dict)
         ]
-        inflation = table.number("inflation") if "inflation" in table.tree else 1.0
-        return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)), inflation)
+        inflation = entries.number("inflation") if "inflation" in entries.tree else 1.0
+        return RadialMap(tuple(found), entries.array("low", (axes,)), entries.array("high", (axes,)), inflation)
     sizes: dict[str, int] = {"a": axes}
     read = {
-        name: _levels(table, axes) if shape == "ragged" else _array(table, name, shape, sizes)
+        name: _levels(entries, axes) if shape == "ragged" else _array(entries, name, shape, sizes)
         for name, shape in SHAPES[kind.kind].items()
     }
     try:
         return build(**read)
     except (ValueError, RigError) as error:
-        table.fail(f"{table.name('kind')}: a field of kind {kind.kind!r} cannot be: {error}", "kind")
+        entries.fail(f"{entries.name('kind')}: a field of kind {kind.kind!r} cannot be: {error}", "kind")
 
 
-def gaussian_process_from_entries(table: Entries, axes: int) -> Radial:
+def gaussian_process_from_entries(entries: Entries, axes: int) -> Radial:
     """Gaussian process from its entries in a file.
 
     Raises FileError where it is none.
     """
-    inputs = table.array("inputs", (None, axes))
-    half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
+    inputs = entries.array("inputs", (None, axes))
+    half, lengths = entries.array("half", (axes,)), entries.array("lengths", (2,))
     for name, values in (("half", half), ("lengths", lengths)):
         if (values <= 0).any():
-            table.fail(f"{table.name(name)} must be positive, not {values.tolist()}", name)
+            entries.fail(f"{entries.name(name)} must be positive, not {values.tolist()}", name)
     return Radial(
-        table.array("centre", (axes,)),
+        entries.array("centre", (axes,)),
         half,
-        table.whole("axis", 0, most=axes - 1),
+        entries.whole("axis", 0, most=axes - 1),
         inputs,
-        table.array("weights", (len(inputs),)),
-        table.array("sizes", (2,)),
+        entries.array("weights", (len(inputs),)),
+        entries.array("sizes", (2,)),
         lengths,
-        table.number("noise"),
-        table.array("variances", (len(inputs),), None) if "variances" in table.tree else None,
+        entries.number("noise"),
+        entries.array("variances", (len(inputs),), None) if "variances" in entries.tree else None,
     )
 
 
@@ -353,16 +355,16 @@ def pose_map_dict(pose_map: PoseMap) -> Json:
     }
 
 
-def pose_map_from_entries(table: Entries, nominal: Parallel) -> PoseMap:
+def pose_map_from_entries(entries: Entries, nominal: Parallel) -> PoseMap:
     """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them.
 
     Raises FileError for anything else.
     """
     some = pose_coordinate_indices(nominal)
-    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
-        table.fail(
-            f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
+    if entries.texts("coordinates") != tuple(NAMES[i] for i in some):
+        entries.fail(
+            f"{entries.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
             f"kind {nominal.kind!r}",
             "coordinates",
         )
-    return PoseMap(table.pose("home"), some, field_from_entries(table.table("field"), len(some)))
+    return PoseMap(entries.pose("home"), some, field_from_entries(entries.table("field"), len(some)))

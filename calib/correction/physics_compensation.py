@@ -18,7 +18,7 @@ from calib.correction.timed_command_sequence_and_pose_error_map import Route
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.errors import NotConverged, RigError
 from rig.formats.numbers_and_units import quantity_text
@@ -106,7 +106,7 @@ class Physics:
     @property
     def coordinates(self) -> list[Coordinate]:
         """[Coordinate] of the effects' parameters, in the order of the covariance."""
-        return coordinates_of_effects(self.effects)
+        return fit_coordinates_of_effects(self.effects)
 
     def machine(self, mechanism: Parallel | Arm | Chain) -> Design:
         """Design of a mechanism with what effects look at besides; it has no cameras."""

@@ -36,7 +36,7 @@ from calib.samples.pose_samples import Sampled, Samples, samples_of_movable_coor
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects_json_file
@@ -106,7 +106,7 @@ class PlatformRefit:
         """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
         k, effects = self.refined.point, self.physics.effects
         out = []
-        for c in coordinates_of_effects(effects):
+        for c in fit_coordinates_of_effects(effects):
             high, low = c.around(effects[c.effect])
             ends = [
                 _motion((*effects[: c.effect], c.written(effects[c.effect], end), *effects[c.effect + 1 :]))
@@ -132,7 +132,7 @@ def findings_with_missing_instrument_effects_added(
         return findings
     sigma = known.sigma
     if sigma is not None:
-        sigma = np.r_[sigma, np.full(len(coordinates_of_effects(more)), np.inf)]
+        sigma = np.r_[sigma, np.full(len(fit_coordinates_of_effects(more)), np.inf)]
     return replace(known, effects=(*known.effects, *more), sigma=sigma)
 
 
@@ -195,7 +195,7 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
             )
         left.remove(own)
         found[number] = own.table("parameters")
-    for c in coordinates_of_effects(effects):
+    for c in fit_coordinates_of_effects(effects):
         value = found[c.effect].table(c.name)
         ends = value.get("ci95")
         if not isinstance(ends, list) or np.shape(ends)[:1] != (2,):
@@ -338,7 +338,7 @@ def refit_arm_with_findings(
     before = None
     if findings.sigma is not None:
         before = Prior(
-            np.array([c.read(findings.effects[c.effect]) for c in coordinates_of_effects(findings.effects)]),
+            np.array([c.read(findings.effects[c.effect]) for c in fit_coordinates_of_effects(findings.effects)]),
             findings.sigma,
         )
     start = start_arm_of_fit(sample_observations(samples), nominal, sampled.instrument)

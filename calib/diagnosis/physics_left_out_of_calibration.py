@@ -78,7 +78,7 @@ def calibration_with_left_out_physics(
     return _add_left_out_physics(calibration, report, sampled.samples)
 
 
-def mark_as_not_searched(calibration: Calibration) -> Calibration:
+def mark_as_not_searched_for_left_out_physics(calibration: Calibration) -> Calibration:
     """Mark a calibration as not searched for left-out physics.
 
     In its claim.
@@ -147,16 +147,17 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
 
 
 def refuted_calibrations(
-    report: Report, marks: Marks, paths: Iterable[Path], samples: Samples | None
+    report: Report, recording_marks: Marks, calibration_paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
     """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
 
-    marks : marks of the recording; paths : files that may be calibrations, all else is passed over; samples : Samples
+    recording_marks : marks of the recording; calibration_paths : files that may be calibrations, all else is
+    passed over; samples : Samples
         of
     the recording, None where nothing was commanded
     """
     out = []
-    for path, tree in _made_from(marks, paths):
+    for path, tree in _made_from(recording_marks, calibration_paths):
         known = _known(tree)
         left = [f for f in report.mattering if (f.effect, f.place) not in known]
         nameless = [f.place for f in report.unknown if (f.effect, f.place) not in known]
@@ -183,7 +184,7 @@ def refuted_calibrations(
 
 
 def unexplained_findings_and_refutations(
-    marks: Marks, paths: Iterable[Path], include_later_refutations: bool
+    recording_marks: Marks, calibration_paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
     """Unexplained findings and refutations of calibrations of a recording.
 
@@ -195,7 +196,7 @@ def unexplained_findings_and_refutations(
     """
     refuted: list[str] = []
     left: list[str] = []
-    for path, tree in _made_from(marks, paths):
+    for path, tree in _made_from(recording_marks, calibration_paths):
         if any(tree.get(key) for key in BEYOND):
             continue
         known = calibration_evidence(

@@ -30,7 +30,10 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import conserved_coordinate_sums, coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import (
+    conserved_coordinate_sums,
+    fit_coordinates_of_effects,
+)
 from rig.effects.framework.parameters_covariates_and_markers import Context
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import covariate_words, curve_classes_by_covariate
 from rig.model.motion_simulation import motion_of_commands
@@ -282,7 +285,7 @@ def _free_directions(effects: tuple[Effect, ...]) -> Floats:
     """(c, k) directions in which effects' coordinates can still move: none of a number at its bound, which takes up
     nothing, and none that changes a sum that stays.
     """
-    coordinates = coordinates_of_effects(effects)
+    coordinates = fit_coordinates_of_effects(effects)
     free = np.array([c.at_bound(effects[c.effect]) is None for c in coordinates], bool)
     sums = conserved_coordinate_sums(coordinates, effects)[:, free]
     out = np.zeros((len(coordinates), free.sum()))

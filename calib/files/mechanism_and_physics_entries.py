@@ -15,7 +15,7 @@ import numpy as np
 from calib.correction.physics_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import curve_classes_by_covariate
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
@@ -29,7 +29,7 @@ from rig.formats.rig_toml.mechanism_entries import (
     hands_of_tables,
     mechanism_of_file,
 )
-from rig.formats.rig_toml.strut_entries import follower_numbers, stated_strut_count
+from rig.formats.rig_toml.strut_entries import follower_strut_numbers, stated_strut_count
 from rig.model import mechanisms
 from rig.model.design import Actuator, Platform
 from rig.model.hands_effect_places_and_tolerances import Place
@@ -247,7 +247,7 @@ def _struts(kind: type[Hexapod] | type[Planar2], table: Entries) -> Hexapod | Pl
         for name, shape in SHAPES[kind.kind].items()
     }
     if "followers" in table.tree:
-        figures["followers"] = follower_numbers(table, axes)
+        figures["followers"] = follower_strut_numbers(table, axes)
     return kind(**figures)
 
 
@@ -351,7 +351,7 @@ def physics_from_entries(table: Entries, mechanism: Commanded, parameter_count: 
     }
     known = {**kinds, **curve_classes_by_covariate(tuple(logged))}
     effects = effects_from_entries(table, held.machine(mechanism), known, lambda entry: not _seen(entry))
-    own = len(coordinates_of_effects(effects))
+    own = len(fit_coordinates_of_effects(effects))
     covariance, cross = table.array("covariance", (own, own)), table.array("cross_covariance", (parameter_count, own))
     if (np.diag(covariance) < 0).any() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
         table.fail("physics.covariance is not a covariance", "covariance")

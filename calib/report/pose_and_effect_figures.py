@@ -20,9 +20,9 @@ from rig.effects.sketches.motion_effect_sketches import (
     enlargement_factor,
     enlargement_text,
     example_run_with_effect,
+    hexapod_design_for_sketches,
     largest_suitable_unit,
     place_and_changed_values_text,
-    sketch_hexapod,
 )
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
@@ -360,7 +360,7 @@ def _sketch_targets() -> Design:
             for j, xy in enumerate(at)
         )
         targets.append(Target(f"target{k}", "platform", "DICT_5X5_100", listed=listed))
-    return replace(sketch_hexapod(), cameras=(camera,), targets=tuple(targets))
+    return replace(hexapod_design_for_sketches(), cameras=(camera,), targets=tuple(targets))
 
 
 def _seen(effects: list[Effect], t: Floats, sensors: Sensors | None) -> Floats:

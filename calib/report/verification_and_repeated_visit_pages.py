@@ -18,7 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import (
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence,
     evidence_with_confounds,
-    evidence_with_displaced_ends,
+    evidence_with_displaced_base_or_tool,
     evidence_with_verification,
 )
 from calib.certification.claim_verification import Verification
@@ -153,7 +153,7 @@ def verification_verdict(verified: Verified) -> Verdict:
         (CERTIFY,),
     )
     known = evidence_with_confounds(known, verified.calibration, (verified.confounds,), "this recording")
-    known = evidence_with_displaced_ends(known, verified.unexpected)
+    known = evidence_with_displaced_base_or_tool(known, verified.unexpected)
     return judge_evidence(evidence_with_verification(known, verified.found, next_step=CHANGED))
 
 

@@ -18,7 +18,7 @@ from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as kinematics
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod_or_redundant_hexapod
 from rig.recording.recording_folder import Commands, Recording
 from rig.recording.recording_tables import POSE_COLUMNS
 
@@ -90,7 +90,7 @@ def commands_and_measured_poses(
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
     q = np.stack([np.interp(t, c.t, column) for column in c.values.T], axis=1)
     return CommandsAndPoses(
-        require_platform(recording.design.mechanism),
+        require_hexapod_or_redundant_hexapod(recording.design.mechanism),
         frames,
         np.searchsorted(known, frames),
         times,

@@ -78,7 +78,7 @@ def run(arguments: Namespace) -> int:
 
 def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
     """Poses that a recording's frames were intended to take. Raises RigError where it shows several hands."""
-    from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
+    from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
     from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
     from rig.recording.recording_tables import load_poses
 
@@ -86,7 +86,7 @@ def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
         return None
     require_one_hand_shown(recording)
     mechanism = recording.design.mechanism
-    return load_poses(path, are_commands=True, hands=hand_names(mechanism), hand=seen_hand(mechanism))
+    return load_poses(path, are_commands=True, hands=hand_names(mechanism), hand=selected_hand_name(mechanism))
 
 
 def _print_result(result: VerificationResult) -> None:

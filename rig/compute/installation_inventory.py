@@ -50,7 +50,7 @@ def installation_inventory() -> list[InventoryItem]:
         list_cameras(),
         list_genicam_producers(),
         list_serial_ports_and_access_rights(),
-        *free_working_and_temporary_disk_space(),
+        *working_and_temporary_folder_free_space(),
         usable_cores_and_thread_environment_variables(),
     ]
 
@@ -164,7 +164,7 @@ def list_serial_ports_and_access_rights() -> InventoryItem:
     )
 
 
-def free_working_and_temporary_disk_space() -> Iterator[InventoryItem]:
+def working_and_temporary_folder_free_space() -> Iterator[InventoryItem]:
     """Free disk space in the working folder and in the folder of temporary files."""
     for name, folder in (("space here", Path.cwd()), ("temporary space", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free

@@ -15,7 +15,7 @@ from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock
 from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
 from rig.errors import FileError
-from rig.formats.user_python_file import class_literal, read_user_text
+from rig.formats.user_python_file import literal_in_class_body, read_user_text
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
 STOPS = {
@@ -24,11 +24,11 @@ STOPS = {
     "gcs-hexapod": b"\x18",
     "linuxcnc": b"SET ABORT\r\n",
     "struts": b"!",
-    "epics": b"",  # which takes the names of the records, see motor_record_stop_message
+    "epics": b"",  # which takes the names of the records, see epics_motor_record_stop_message
 }
 
 
-def motor_record_stop_message(motors: Iterable[str]) -> bytes:
+def epics_motor_record_stop_message(motors: Iterable[str]) -> bytes:
     """Bytes that stop EPICS motor records, as a ChannelAccessPort takes them: all of those that are there.
 
     What is not there is named when the protocol's own stop follows.
@@ -56,7 +56,7 @@ class ControllerAddress:
         """Bytes that stop it though nothing was sent to it before."""
         stop = self.stop
         if self.protocol == "epics":
-            return motor_record_stop_message(self.axes)
+            return epics_motor_record_stop_message(self.axes)
         if self.protocol != "linuxcnc":
             return stop
         return f"HELLO {self.password} {CLIENT}\r\nSET ENABLE {self.enable_password}\r\n".encode() + stop
@@ -106,7 +106,7 @@ def _stop_bytes(protocol: str, path: Path) -> bytes | None:
     if kind != "file":
         return STOPS.get(protocol)
     try:
-        stop = class_literal(read_user_text(path.parent / place)[0], "urgent_stop")
+        stop = literal_in_class_body(read_user_text(path.parent / place)[0], "urgent_stop")
     except FileError:
         return None
     return stop if isinstance(stop, bytes) else None

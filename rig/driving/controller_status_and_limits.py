@@ -37,7 +37,9 @@ class ControllerLimits:
     acceleration_name: str
 
 
-def limit_warnings(limits: ControllerLimits, controller: Controller, mechanism: Hexapod | Planar2) -> list[str]:
+def tighter_controller_limit_warnings(
+    limits: ControllerLimits, controller: Controller, mechanism: Hexapod | Planar2
+) -> list[str]:
     """Warnings of controller limits tighter than the rig.toml's.
 
     A line for each kind of limit, with both figures of the strut that it concerns most.

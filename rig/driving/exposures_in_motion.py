@@ -117,7 +117,7 @@ class FramesDuringMove:
         return True
 
 
-def lengths_reported_at(reports: Sequence[PositionReport], t: float, start: Floats) -> Floats:
+def lengths_reported_at(reports: Sequence[PositionReport], t: float, start_lengths: Floats) -> Floats:
     """Strut lengths (n,) m at time t s, interpolated between the position reports about it.
 
     reports : in the order of their times; another thread may append to them meanwhile
@@ -125,7 +125,7 @@ def lengths_reported_at(reports: Sequence[PositionReport], t: float, start: Floa
     after = bisect_left(reports, t, hi=len(reports), key=lambda report: report.t)
     near = tuple(reports[max(after - 1, 0) : after + 1])
     if not near:
-        return start
+        return start_lengths
     times = [report.t for report in near]
     return np.array([np.interp(t, times, column) for column in np.array([report.lengths for report in near]).T])
 

@@ -18,7 +18,7 @@ from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.exposures_in_motion import FramesDuringMove, journal_row_of_position_reports, lengths_reported_at
-from rig.driving.move_profiles_and_path_check import TimedShares, profile_of_reports
+from rig.driving.move_profiles_and_path_check import TimedShares, move_profile_fitted_to_reports
 from rig.driving.recording_from_run_journal import GrowingRecording
 from rig.driving.run_journal import (
     Arrival,
@@ -265,7 +265,7 @@ class RunOperator:
                 ended = self.now()
         finally:
             self._write_reports(exposing.unwritten())
-        found = profile_of_reports(start, goal, exposing.reports, speed)
+        found = move_profile_fitted_to_reports(start, goal, exposing.reports, speed)
         travel = tuple((t - self._origin, share) for t, share in found.travel)
         self.write(Arrival(max(ended, travel[-1][0] if travel else ended), index, tuple(goal.tolist()), True, travel))
         if found.rms is not None and not travel:

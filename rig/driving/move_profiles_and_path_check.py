@@ -56,14 +56,14 @@ def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, 
 
 
 def straight_move_segment(
-    start: Floats, target: Floats, speed_share: float, controller: Controller, mechanism: Hexapod | Planar2
+    start: Floats, target: Floats, speed_fraction: float, controller: Controller, mechanism: Hexapod | Planar2
 ) -> Segment:
     """Segment of a straight move of all axes, which begin and arrive simultaneously.
 
-    start, target : (n,) m, lengths; speed_share : of the greatest speeds, above 0 and at most 1
+    start, target : (n,) m, lengths; speed_fraction : of the greatest speeds, above 0 and at most 1
     """
     travel = np.abs(target - start)
-    duration = max(float((travel / (speed_share * controller.max_speed)).max()), 1e-6)
+    duration = max(float((travel / (speed_fraction * controller.max_speed)).max()), 1e-6)
     acceleration = None
     if controller.max_acceleration is not None and travel.any():
         acceleration = travel * (controller.max_acceleration[travel > 0] / travel[travel > 0]).min()
@@ -178,7 +178,9 @@ class FittedProfile:
     rms: float | None
 
 
-def profile_of_reports(start: Floats, goal: Floats, reports: Sequence[PositionReport], speed: float) -> FittedProfile:
+def move_profile_fitted_to_reports(
+    start: Floats, goal: Floats, reports: Sequence[PositionReport], speed: float
+) -> FittedProfile:
     """FittedProfile of a straight move: when it began, its ramps and its speed, by its reports.
 
     start, goal : (n,) m; speed : m/s of the axis that moves most, from which the fit starts
@@ -199,7 +201,7 @@ def profile_of_reports(start: Floats, goal: Floats, reports: Sequence[PositionRe
     begun = origin - share[t >= origin][0] * cruise_time
 
     def off(p: Floats) -> Floats:
-        return (trapezoid_share(t - origin - p[0], p[1], p[2]) - share) / sigma
+        return (travel_fraction_of_trapezoidal_profile(t - origin - p[0], p[1], p[2]) - share) / sigma
 
     ramp = 0.2 * cruise_time
     starts = [np.array([begun - origin - lead, cruise_time, ramp]) for lead in (0.0, ramp / 2)]
@@ -220,7 +222,7 @@ def profile_of_reports(start: Floats, goal: Floats, reports: Sequence[PositionRe
     )
 
 
-def trapezoid_share(t: Floats, cruise_time: float, ramp_time: float) -> Floats:
+def travel_fraction_of_trapezoidal_profile(t: Floats, cruise_time: float, ramp_time: float) -> Floats:
     """(k,) share of the way passed at times t (k,) s from its beginning; cruise_time, ramp_time : s, as of
     `trapezoidal_profile`.
     """

@@ -186,16 +186,16 @@ def start_position_of_step(journal_rows: list[Row], steps: tuple[Step, ...], ind
 
 
 def lost_position_reason(
-    progress: Progress, position: Floats, tolerance: float, started_anew: bool, can_home: bool
+    progress: Progress, position: Floats, tolerance: float, controller_restarted: bool, can_home: bool
 ) -> str:
     """Reason why a position (axes,) m that is read when a run is resumed counts as lost; "" where it does not.
 
-    tolerance : m, of a read-back; started_anew : whether the controller says that it has started since it was homed or
-    confirmed; can_home : whether it can home. One that cannot shows lost zeros only by struts that read elsewhere.
+    tolerance : m, of a read-back; controller_restarted : whether the controller says that it started since it was homed
+    or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by struts that read elsewhere.
     """
     if progress.lost:
         return f"the run ended with the position lost ({progress.lost})"
-    if started_anew:
+    if controller_restarted:
         return "the controller has started anew since the run left it"
     left = progress.position if progress.pending is None else np.asarray(progress.pending.start)
     goal = left if progress.pending is None else np.asarray(progress.pending.goal)

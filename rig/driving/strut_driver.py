@@ -20,9 +20,9 @@ from rig.driving.controller_status_and_limits import (
     ControllerStatus,
     FinishedMove,
     PositionReport,
-    limit_warnings,
     limits_of_linuxcnc_ini,
     operator_advice,
+    tighter_controller_limit_warnings,
 )
 from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, straight_move_segment
 from rig.driving.ports_and_numbered_frames import open_port
@@ -133,7 +133,7 @@ class Driver:
     def limit_warnings(self) -> list[str]:
         """Lines where the controller's own limits are tighter than the rig.toml's; raises what `limits` does."""
         own = self.limits()
-        return [] if own is None else limit_warnings(own, self.controller, self.mechanism)
+        return [] if own is None else tighter_controller_limit_warnings(own, self.controller, self.mechanism)
 
     def trust(self) -> None:
         """The operator confirms that lengths read back are true, after a start without homing or PositionLost. Raises

@@ -25,7 +25,7 @@ from rig.driving.ports_and_numbered_frames import SerialPort
 from rig.errors import FileError, NoAnswer, RigError
 from rig.formats.local_and_remote_input_files import is_remote
 from rig.formats.numbers_and_units import parse_numbers
-from rig.formats.user_python_file import UserModule, line_of_class, line_within, run_user_file
+from rig.formats.user_python_file import UserModule, line_in_file_of_error, line_of_class, run_user_file
 from rig.model.design import Design, SensorPort
 from rig.model.protocol_and_port_names import is_user_program
 
@@ -58,14 +58,14 @@ def refuse_programs_of_untrusted_rig_toml(path: Path, design: Design) -> None:
         )
 
 
-def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[type[T], str]:
+def load_user_class(file_or_package: str, base: type[T], group: str, class_description: str) -> tuple[type[T], str]:
     """Load a user's class of "file:PATH" or "package:NAME".
 
-    group : of the package's entry points; what : the class is, for messages
+    group : of the package's entry points; class_description : the class is, for messages
     Returns (class derived from a base, the file that defines it)
     Raises FileError with the line where a file cannot be used, RigError for a package that is not there
     """
-    kind, _, place = stated.partition(":")
+    kind, _, place = file_or_package.partition(":")
     module = _module(Path(place)) if kind == "file" else _package(place, group)
     found = module.classes(base)
     if len(found) != 1:
@@ -73,7 +73,7 @@ def load_user_class(stated: str, base: type[T], group: str, what: str) -> tuple[
         expected = f"class Mine({base.__name__}), from rig.driving.base"
         raise FileError(
             module.path,
-            f"defines {f'several: {names}; expected one' if found else 'no'} {what}: {expected}",
+            f"defines {f'several: {names}; expected one' if found else 'no'} {class_description}: {expected}",
             module.line(found[1]) if found else None,
         )
     return found[0], str(module.path)
@@ -104,7 +104,7 @@ def guard_call(call: Callable[P, T], path: str, error_kind: type[RigError], owne
     """
 
     def failure(error: Exception) -> RigError:
-        line = line_within(error, path) or call.__code__.co_firstlineno
+        line = line_in_file_of_error(error, path) or call.__code__.co_firstlineno
         return error_kind(f"{path}:{line}: {owner}.{call.__name__} fails: {type(error).__name__}: {error}")
 
     def dialogue(*given: P.args, **named: P.kwargs) -> Steps:

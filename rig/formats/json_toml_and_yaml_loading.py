@@ -199,7 +199,7 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
     return None
 
 
-def dict_without_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
+def dict_refusing_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
     """Dict of JSON key-value pairs (json's object_pairs_hook).
 
     Raises RepeatedKey for a key that occurs twice.
@@ -248,7 +248,7 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
     path = Path(path)
     text = read_text(path, LARGEST)
     try:
-        tree = json.loads(text, object_pairs_hook=dict_without_repeated_keys)
+        tree = json.loads(text, object_pairs_hook=dict_refusing_repeated_keys)
     except RepeatedKey:
         key, place = (first_repeated_key(text) if len(text) <= LARGEST_INDEXED else None) or ("some key", (None, None))
         raise FileError(path, f"key {short_repr(key)} occurs twice in one table: which applies?", *place, key) from None

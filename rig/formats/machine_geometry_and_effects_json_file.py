@@ -15,7 +15,7 @@ from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, named_effect, require_existing_place
+from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, effect_class_by_name, require_existing_place
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
@@ -96,7 +96,7 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
         or not isinstance(tree.get("parameters"), dict)
     ):
         raise RigError(f"{short_repr(tree)} is not an effect: it requires effect, place and parameters")
-    kind = named_effect(tree["effect"], tree["effect"], known_effects)
+    kind = effect_class_by_name(tree["effect"], tree["effect"], known_effects)
     own = {parameter.name for parameter in kind.parameters}
     values = {}
     for key, value in tree["parameters"].items():

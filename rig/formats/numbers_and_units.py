@@ -92,10 +92,10 @@ def number_text(value: float, digits: int = 3) -> str:
     return f"{float(text):.0f}" if "e+" in text and abs(value) < PLAIN else text
 
 
-def separating_digits(low: float, high: float, digits: int = 3) -> int:
+def digits_that_distinguish_numbers(low: float, high: float, digits: int = 3) -> int:
     """Number of significant digits, `digits` at least, at which low and high differ.
 
-    >>> separating_digits(199.81, 200.3), separating_digits(1.0, 2.0)
+    >>> digits_that_distinguish_numbers(199.81, 200.3), digits_that_distinguish_numbers(1.0, 2.0)
     (4, 3)
     """
     return next((n for n in range(digits, MOST) if number_text(low, n) != number_text(high, n)), digits)
@@ -205,12 +205,12 @@ def parse_length_and_angle_units(text: str) -> LengthAndAngleUnits:
     return LengthAndAngleUnits(*lengths, *angles)
 
 
-def stated_units(tree: Mapping[str, object]) -> LengthAndAngleUnits:
+def stated_units(table: Mapping[str, object]) -> LengthAndAngleUnits:
     """LengthAndAngleUnits that a table states by its key `units`, m and rad where it has none.
 
     Raises ValueError.
     """
-    return parse_length_and_angle_units(str(tree.get("units", SI)))
+    return parse_length_and_angle_units(str(table.get("units", SI)))
 
 
 @cache

@@ -76,7 +76,9 @@ def run_user_text(text: str, path: Path) -> ModuleType:
     except SyntaxError as error:
         raise FileError(path, f"is no Python: {error.msg}", error.lineno, error.offset) from None
     except Exception as error:
-        raise FileError(path, f"cannot be run: {type(error).__name__}: {error}", line_within(error, path)) from None
+        raise FileError(
+            path, f"cannot be run: {type(error).__name__}: {error}", line_in_file_of_error(error, path)
+        ) from None
     return module
 
 
@@ -89,7 +91,7 @@ def run_user_file(path: Path) -> UserModule:
     return UserModule(path, text, digest, run_user_text(text, path))
 
 
-def line_within(error: BaseException, path: Path | str) -> int | None:
+def line_in_file_of_error(error: BaseException, path: Path | str) -> int | None:
     """Line within a file that an error came through, the last.
 
     None for none.
@@ -110,7 +112,7 @@ def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
     return None
 
 
-def class_literal(text: str, field: str) -> object:
+def literal_in_class_body(text: str, field: str) -> object:
     """Value of a literal (`urgent_stop = b"!"`) in the first class body of a source text that has one.
 
     None for none.

@@ -154,23 +154,27 @@ def has_gravity_sensor_channels(channels: Collection[str]) -> bool:
     return set(GRAVITY) <= set(channels)
 
 
-def logged_gravity(channel: Callable[[str], Floats]) -> Floats:
+def logged_gravity(channel_values: Callable[[str], Floats]) -> Floats:
     """Logged gravity (n, 3) m/s^2 in the base frame.
 
-    channel : name -> (n,) values
+    channel_values : name -> (n,) values
     """
-    return np.stack([channel(name) for name in GRAVITY], axis=1)
+    return np.stack([channel_values(name) for name in GRAVITY], axis=1)
 
 
 def gravity_at_exposures(
-    gravity: Floats, known: Collection[str], channel: Callable[[str], Floats], count: int
+    gravity: Floats, known_channels: Collection[str], channel_values: Callable[[str], Floats], count: int
 ) -> Floats:
     """Gravity (count, 3) m/s^2 at exposures, in the base frame.
 
     As logged where the base tilts, else as stated, gravity (3,).
-    known : names of the sensor channels; channel : name -> (count,) values
+    known_channels : names of the sensor channels; channel_values : name -> (count,) values
     """
-    return logged_gravity(channel) if has_gravity_sensor_channels(known) else np.broadcast_to(gravity, (count, 3))
+    return (
+        logged_gravity(channel_values)
+        if has_gravity_sensor_channels(known_channels)
+        else np.broadcast_to(gravity, (count, 3))
+    )
 
 
 def times_resampled_for_small_tilt_steps(
@@ -187,14 +191,14 @@ def times_resampled_for_small_tilt_steps(
 
 
 def gravity_channels(
-    gravity: Floats, tilts: tuple[BaseTilt, ...], channel: Callable[[str], Floats]
+    gravity: Floats, tilts: tuple[BaseTilt, ...], channel_values: Callable[[str], Floats]
 ) -> dict[str, Floats]:
     """Channels of gravity in the base frame under tilts.
 
-    gravity : (3,) m/s^2 where all stand at zero; channel : name -> (n,) values
+    gravity : (3,) m/s^2 where all stand at zero; channel_values : name -> (n,) values
     Returns {channel: (n,) m/s^2}, each tilt carried by those before it
     """
     turned = Rotation.identity()
     for tilt in tilts:
-        turned = turned * tilt.turn(channel(tilt.channel))
+        turned = turned * tilt.turn(channel_values(tilt.channel))
     return dict(zip(GRAVITY, turned.inv().apply(np.array(gravity)).T))

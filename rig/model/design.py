@@ -360,7 +360,7 @@ def chebyshev_products(camera: Camera, uv: Floats, degree: int) -> Floats:
     )
 
 
-def warp_columns(camera: Camera, uv: Floats, degree: int) -> Floats:
+def image_warp_columns(camera: Camera, uv: Floats, degree: int) -> Floats:
     """Columns (..., 2, 2 m) of an image warp: px moved at uv (..., 2) px per unit of each coefficient."""
     basis = chebyshev_products(camera, uv, degree)
     zero = np.zeros_like(basis)

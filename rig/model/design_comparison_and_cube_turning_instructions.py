@@ -119,40 +119,42 @@ def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[st
     return TURN + name if problem is None else "", problem
 
 
-def design_with_turned_cubes(design: Design, quarters: Mapping[str, int]) -> Design:
-    """The Design with cubes turned by quarters {cube: quarter turns}.
+def design_with_turned_cubes(design: Design, quarter_turns: Mapping[str, int]) -> Design:
+    """The Design with cubes turned, by quarter_turns {cube: quarter turns}.
 
     Raises RigError for an unknown cube.
     """
-    for name in quarters:
+    for name in quarter_turns:
         _, problem = find_cube(name, design.targets)
         if problem:
             raise RigError(problem)
-    return replace(design, targets=tuple(replace(t, turned=quarters.get(t.name, t.turned)) for t in design.targets))
+    return replace(
+        design, targets=tuple(replace(t, turned=quarter_turns.get(t.name, t.turned)) for t in design.targets)
+    )
 
 
-def rig_toml_with_turns(text: str, quarters: Mapping[str, int]) -> str:
-    """The rig.toml text with the cubes' turns (quarters) stated.
+def rig_toml_with_turns(text: str, quarter_turns: Mapping[str, int]) -> str:
+    """The rig.toml text with the cubes' quarter_turns stated.
 
     All else, comments too, unchanged.
     """
     import tomlkit
 
-    if not quarters:
+    if not quarter_turns:
         return text
 
     document = tomlkit.parse(text)
     table = tomlkit.table()
-    table.update(quarters)
+    table.update(quarter_turns)
     document["turned"] = table
     return tomlkit.dumps(document)
 
 
-def turning_instructions(quarters: Mapping[str, int], present_quarters: Mapping[str, int]) -> list[str]:
-    """Instructions to the operator for turning cubes to these quarters from the present ones, in words."""
+def turning_instructions(quarter_turns: Mapping[str, int], present_quarter_turns: Mapping[str, int]) -> list[str]:
+    """Instructions to the operator for turning cubes to these quarter turns from the present ones, in words."""
     out = []
-    for name, quarter in quarters.items():
-        if present_quarters.get(name) != quarter:
+    for name, quarter in quarter_turns.items():
+        if present_quarter_turns.get(name) != quarter:
             out.append(
                 f"take cube {name} off its socket and put it back {WORDS[quarter]}"
                 + (", counter-clockwise about its own z, from where rig.toml states it" if quarter else "")

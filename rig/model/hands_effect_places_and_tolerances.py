@@ -90,14 +90,14 @@ def hand_number(mechanism: object, hand: str | int) -> int:
     return names.index(hand)
 
 
-def require_one_hand(mechanism: object, what: str) -> None:
-    """Raise RigError for a mechanism with several hands. what : is not done for it, as a sentence's beginning"""
+def require_one_hand(mechanism: object, refusal_beginning: str) -> None:
+    """Raise RigError for a mechanism with several hands. refusal_beginning : of the sentence"""
     names = hand_names(mechanism)
     if names:
-        raise RigError(f"{what} for arms with one hand; this one has {len(names)}: {', '.join(names)}")
+        raise RigError(f"{refusal_beginning} for arms with one hand; this one has {len(names)}: {', '.join(names)}")
 
 
-def seen_hand(mechanism: object) -> str | None:
+def selected_hand_name(mechanism: object) -> str | None:
     """Name of the hand at which an arm with several is seen; None of other mechanisms."""
     number: int = getattr(mechanism, "hand", 0)
     names = hand_names(mechanism)

@@ -130,12 +130,12 @@ LINE = 1e-6  # of the length of a row of positions, within which they lie on a l
 
 
 def align_poses(
-    predicted: RigidTransform, measured: RigidTransform, ends: tuple[bool, bool], rows: int = 6
+    predicted: RigidTransform, measured: RigidTransform, unknown_ends: tuple[bool, bool], rows_per_pose: int = 6
 ) -> tuple[RigidTransform, RigidTransform]:
     """Motions (base, tool) with which base * predicted * tool is nearest to measured, of n poses each: robust least
     squares, from rotations between poses on.
 
-    ends : whether each is unknown, the identity where not; rows : 6, or 3 where positions alone were measured
+    unknown_ends : whether each is unknown, the identity where not; rows_per_pose : 6, or 3 of positions alone
     Raises NotEnoughData for fewer than FEWEST_ALIGNED poses, and positions on a line
     Source: Park and Martin, Robot sensor calibration: solving AX = XB on the Euclidean group, IEEE Trans. Robotics 1994
     """
@@ -146,27 +146,27 @@ def align_poses(
         raise NotEnoughData(
             f"where an instrument stands is determined from {FEWEST_ALIGNED} poses at least, not {len(p)}"
         )
-    if ends[0] and rows == 3:
+    if unknown_ends[0] and rows_per_pose == 3:
         spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
         if spread[1] <= LINE * spread[0]:
             raise NotEnoughData(f"{len(p)} positions on a line do not determine how an instrument is turned about it")
-    if ends[0] and rows == 6:
+    if unknown_ends[0] and rows_per_pose == 6:
         turned = [(T.rotation * T.rotation[0].inv()).as_rotvec()[1:] for T in (measured, predicted)]
         start = (measured.rotation * predicted.rotation.inv()).mean()
-        turn = Rotation.align_vectors(*turned)[0] if ends[1] else start
+        turn = Rotation.align_vectors(*turned)[0] if unknown_ends[1] else start
         base = RigidTransform.from_rotation(turn)
-    elif ends[0]:
+    elif unknown_ends[0]:
         base = RigidTransform.from_rotation(Rotation.align_vectors(q - q.mean(axis=0), p - p.mean(axis=0))[0])
-    if ends[1] and rows == 6:
+    if unknown_ends[1] and rows_per_pose == 6:
         tool = RigidTransform.from_rotation((predicted.rotation.inv() * base.rotation.inv() * measured.rotation).mean())
-    free = np.repeat([ends[0], ends[0], ends[1], ends[1] and rows == 6], 3)
+    free = np.repeat([unknown_ends[0], unknown_ends[0], unknown_ends[1], unknown_ends[1] and rows_per_pose == 6], 3)
     for _ in range(ALIGNMENT_STEPS):
         moved = predicted * tool
-        left = (pose_difference(base * moved, measured) / ALIGNMENT)[:, :rows]
+        left = (pose_difference(base * moved, measured) / ALIGNMENT)[:, :rows_per_pose]
         size = np.sqrt((left**2).mean(axis=1))
         weight = np.minimum(1.0, HUBER * max(float(np.median(size)), 1e-9) / np.maximum(size, 1e-12))
         columns = np.concatenate([adjoint(moved.inv()), np.broadcast_to(np.eye(6), (len(p), 6, 6))], axis=2) * free
-        columns = (columns / ALIGNMENT[:, None])[:, :rows]
+        columns = (columns / ALIGNMENT[:, None])[:, :rows_per_pose]
         H = np.einsum("n,nia,nib->ab", weight, columns, columns) + np.eye(12)
         step = np.linalg.solve(H, np.einsum("n,nia,ni->a", weight, columns, left)) * free
         base, tool = base * exp(step[:6]), tool * exp(step[6:])

@@ -31,7 +31,7 @@ def port_problem(port: str) -> str | None:
     return None
 
 
-def is_motor_record(name: str) -> bool:
+def is_motor_record_name(name: str) -> bool:
     """Whether a text may be the name of an EPICS record, without a field."""
     return re.fullmatch(r"[A-Za-z0-9_:;\[\]{}-]{1,60}", name) is not None
 

@@ -209,12 +209,12 @@ class KinematicsFile:
         return cast(Floats, sum(weight * moved(k * self.shorter * step) for k, weight in STENCIL) / step / self.shorter)
 
 
-def difference_step(tolerance: float) -> float:
+def finite_difference_step(tolerance: float) -> float:
     """Step of differences with a parameter of a tolerance, in its unit."""
     return 0.4 * tolerance if tolerance else STEP
 
 
-def axis_change_columns_by_freedom(file: KinematicsFile, poses: Floats, p: Floats) -> Floats:
+def axis_change_columns_by_freedom(file: KinematicsFile, poses: Floats, parameters: Floats) -> Floats:
     """Columns (n, axes, freedoms) of the axes' change with the freedoms.
 
     m or rad, along and about the base's axes, at poses (n, 4, 4).
@@ -226,15 +226,17 @@ def axis_change_columns_by_freedom(file: KinematicsFile, poses: Floats, p: Float
             at = poses.astype(type(s) if isinstance(s, complex) else float)
             if freedom < 3:
                 at[:, freedom, 3] += s
-                return file.inverse(at, p)
+                return file.inverse(at, parameters)
             at[:, :3, :3] = _turn(freedom - 3, s) @ poses[:, :3, :3]
-            return file.inverse(at, p)
+            return file.inverse(at, parameters)
 
         out[..., k] = file.derivative(moved)
     return out
 
 
-def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, parameter_indices: Integers) -> Floats:
+def axis_change_columns_by_parameter(
+    file: KinematicsFile, poses: Floats, parameters: Floats, parameter_indices: Integers
+) -> Floats:
     """Columns (n, axes, k) of the axes' change with parameters.
 
     Those of `parameter_indices` (k,), in their units.
@@ -244,11 +246,11 @@ def parameter_columns(file: KinematicsFile, poses: Floats, p: Floats, parameter_
     for k, j in enumerate(parameter_indices.tolist()):
 
         def moved(s: float | complex, j: int = j) -> Floats:
-            q = p.astype(type(s) if isinstance(s, complex) else float)
+            q = parameters.astype(type(s) if isinstance(s, complex) else float)
             q[j] += s
             return file.inverse(poses, q)
 
-        out[..., k] = file.derivative(moved, difference_step(float(tolerances[j])))
+        out[..., k] = file.derivative(moved, finite_difference_step(float(tolerances[j])))
     return out
 
 
@@ -279,7 +281,7 @@ def _turn(axis: int, angle: float | complex) -> Floats:
     return out
 
 
-def stated_kinematics(source: str, name: str) -> KinematicsFile:
+def kinematics_of_executed_source(source: str, name: str) -> KinematicsFile:
     """KinematicsFile of a source text, run, its statements checked but its functions not yet called.
 
     name : of its file, in errors. Raises FileError with the line of what is wrong

@@ -14,8 +14,8 @@ from rig.model.user_kinematics_file import (
     FREEDOMS,
     KinematicsFile,
     axis_change_columns_by_freedom,
-    parameter_columns,
-    stated_kinematics,
+    axis_change_columns_by_parameter,
+    kinematics_of_executed_source,
 )
 
 TRIED = 6  # poses at which a file is checked
@@ -35,7 +35,7 @@ def kinematics_of_source(source: str, name: str) -> KinematicsFile:
     Raises FileError with the line of what is wrong: what is missing, of another shape, no number, in another unit, or
     no round trip
     """
-    file = stated_kinematics(source, name)
+    file = kinematics_of_executed_source(source, name)
     poses = _poses_about_home(file)
     _require_home(file)
     file = replace(file, batched=_is_batched(file, "inverse", poses))
@@ -109,7 +109,10 @@ def _require_numbers(file: KinematicsFile, name: str, found: Floats, given: list
 def _derivatives(file: KinematicsFile, poses: Floats) -> Floats:
     free = np.flatnonzero(file.tolerances)
     return np.concatenate(
-        [axis_change_columns_by_freedom(file, poses, file.nominal), parameter_columns(file, poses, file.nominal, free)],
+        [
+            axis_change_columns_by_freedom(file, poses, file.nominal),
+            axis_change_columns_by_parameter(file, poses, file.nominal, free),
+        ],
         axis=2,
     )
 

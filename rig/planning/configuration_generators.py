@@ -17,8 +17,12 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, is_redundant, require_platform
-from rig.model.mechanisms.redundant_struts import agreeing_lengths
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    is_redundant,
+    require_hexapod_or_redundant_hexapod,
+)
+from rig.model.mechanisms.redundant_struts import nearest_compatible_strut_lengths
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
@@ -37,7 +41,7 @@ def evenly_spread_configurations(mechanism: Commanded, count: int, fill: float =
     Of more than six struts the nearest that close on poses. Raises NotConverged where none do
     """
     found = sobol_configurations(mechanisms.kinematics_of(mechanism).travel_ranges(mechanism), count, fill, seed)
-    return agreeing_lengths(found, mechanism, fill) if is_redundant(mechanism) else found
+    return nearest_compatible_strut_lengths(found, mechanism, fill) if is_redundant(mechanism) else found
 
 
 def _sobol_points(axes: int, count: int, seed: int) -> Floats:
@@ -181,7 +185,7 @@ def moves_combining_translation_and_rotation(design: Design, per_pair: int = 6) 
 
 def _hexapod(design: Design, what: str) -> Hexapod:
     """A design's mechanism. Raises RigError for one that is not a hexapod, of which `what` says the rest."""
-    return require_platform(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
+    return require_hexapod_or_redundant_hexapod(design.mechanism, f"{what}, not for a mechanism of kind {{kind!r}}")
 
 
 def _through_home(mechanism: Hexapod, ways: Floats, count: int) -> Floats:

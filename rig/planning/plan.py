@@ -20,7 +20,7 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_redundant
-from rig.model.mechanisms.redundant_struts import agreeing_lengths
+from rig.model.mechanisms.redundant_struts import nearest_compatible_strut_lengths
 from rig.planning.configuration_generators import (
     FILL,
     divided_grid_configurations,
@@ -104,7 +104,7 @@ def build_plan(
     approach = ApproachSettings(
         strokes, below, np.random.default_rng((seed, 1))
     )  # apart from rng: which configurations a part visits stays the same
-    start = agreeing_commands(strokes.mean(axis=1)[None], design)[0]
+    start = nearest_compatible_commands(strokes.mean(axis=1)[None], design)[0]
     writer = PlanWriter(start, planned_axis_speeds(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
@@ -130,16 +130,16 @@ def build_plan(
         written = len(writer.values)
         PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
         if name != "commands":  # whose lengths agree as `rig correct` wrote them
-            writer.values[written:] = agreeing_commands(np.array(writer.values[written:]), design)
+            writer.values[written:] = nearest_compatible_commands(np.array(writer.values[written:]), design)
     if not writer.exposures:
         raise RigError(f"plan {short_repr(text)} exposes nothing")
     return writer.plan()
 
 
-def agreeing_commands(values: Floats, design: Design) -> Floats:
+def nearest_compatible_commands(values: Floats, design: Design) -> Floats:
     """Commands (n, axes) that agree: themselves, or of more than six struts the nearest that close on a pose."""
     m = design.mechanism
-    return agreeing_lengths(values, m) if is_redundant(m) else values
+    return nearest_compatible_strut_lengths(values, m) if is_redundant(m) else values
 
 
 def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:

@@ -90,7 +90,7 @@ def _greatest_difference_text(apart: Floats, arm: Arm) -> str:
     return " and ".join([*words, f"{slid.max() * 1e3:.2f} mm"] if len(slid) else words)
 
 
-def motion_with_straight_hand(q: Floats, goal: Floats, arm: Arm, steps: int = STEPS) -> Floats:
+def motion_with_hand_on_straight_line(q: Floats, goal: Floats, arm: Arm, steps: int = STEPS) -> Floats:
     """Motion (k, n) rad from posture q (n,) to goal (n,) with the hand on a straight line.
 
     Turning evenly.

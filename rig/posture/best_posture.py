@@ -164,7 +164,7 @@ def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
     found, name, k = _best_of_searches(arm, options, first, starts)
     best = found[name]
     motion = (
-        arm_motion_between_postures.motion_with_straight_hand(now if now is not None else first, best.q[k], arm)
+        arm_motion_between_postures.motion_with_hand_on_straight_line(now if now is not None else first, best.q[k], arm)
         if options.during_hand_motion
         else arm_motion_between_postures.motion_with_hand_still(starts[k], best.q[k], arm, options.fixed)
     )

@@ -39,14 +39,16 @@ def image_file_problem(path: Path, camera: Camera | None = None) -> str | None:
     """
     try:
         with open_regular_file(path, "no such image") as file:
-            return open_image_file_problem(file, camera)
+            return problem_of_open_image_file(file, camera)
     except FileError as error:
         return str(error).split(": ", 1)[1]
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 
 
-def open_image_file_problem(file: BinaryIO, camera: Camera | None = None, max_pixels: int = MOST_PIXELS) -> str | None:
+def problem_of_open_image_file(
+    file: BinaryIO, camera: Camera | None = None, max_pixels: int = MOST_PIXELS
+) -> str | None:
     """Problem of an open image file as text, or None.
 
     max_pixels : px that it may have. Raises OSError where it cannot be read.
@@ -198,7 +200,7 @@ def decode_image(data: bytes, path: Path, max_pixels: int = MOST_PIXELS) -> Pixe
     """
     import cv2
 
-    problem = open_image_file_problem(BytesIO(data), max_pixels=max_pixels)
+    problem = problem_of_open_image_file(BytesIO(data), max_pixels=max_pixels)
     if problem:
         raise FileError(path, problem)
     try:
@@ -254,9 +256,11 @@ def load_exposures(
     table: Table,
     origin: TimeOrigin,
     skip_unreadable: bool = False,
-    apart: float = SIMULTANEOUS,
+    largest_time_difference: float = SIMULTANEOUS,
 ) -> tuple[Exposures, list[UnreadableImage]]:
-    """Load (Exposures, [UnreadableImage]) from the rows of a frames.csv. apart : s that those of a frame may differ by
+    """Load (Exposures, [UnreadableImage]) from the rows of a frames.csv.
+
+    largest_time_difference : s that those of a frame may differ by
     skip_unreadable : whether images that cannot be used are left out, which takes decoding every one; else they are
         errors, all of them named in one. Raises FileError with line and column.
     """
@@ -284,11 +288,11 @@ def load_exposures(
             )
         seen[frame[i], camera[i]] = table.lines[i]
         if frame[i] in start:
-            if abs(t[i] - start[frame[i]]) > apart:
+            if abs(t[i] - start[frame[i]]) > largest_time_difference:
                 table.fail(
                     f"frame {frame[i]} at t = {written[i]} s, but its first exposure was at "
                     f"{origin.text(start[frame[i]])} s: "
-                    f"exposures of one frame are simultaneous, to {apart:g} s",
+                    f"exposures of one frame are simultaneous, to {largest_time_difference:g} s",
                     i,
                     "t",
                     written[i],

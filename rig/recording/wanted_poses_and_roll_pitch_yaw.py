@@ -8,7 +8,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat, TimeOrigin, read_csv_table
 from rig.model.design import Instrument
-from rig.model.hands_effect_places_and_tolerances import hand_names, seen_hand
+from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.pose import roll_pitch_yaw, roll_pitch_yaw_sigmas
 from rig.recording.recording_tables import HAND, Poses, load_instrument_poses, load_poses, rows_of_hand, write_table
 
@@ -33,7 +33,11 @@ def load_wanted_poses(path: str | Path, form: TableFormat = PLAIN, mechanism: ob
     form : of the file; mechanism : that is to take them. Of an arm with several hands the rows of the hand at which it
     is seen are taken, where the table has a column hand. Raises FileError with line and column
     """
-    rows, hands, hand = read_csv_table(path, ("frame",), form=form), hand_names(mechanism), seen_hand(mechanism)
+    rows, hands, hand = (
+        read_csv_table(path, ("frame",), form=form),
+        hand_names(mechanism),
+        selected_hand_name(mechanism),
+    )
     directions = "azimuth" in rows.columns
     if directions and hand is not None and HAND in rows.columns:
         rows.fail("a direction has no column hand; state whole poses", 0, HAND, rows.text(HAND)[0])

@@ -46,6 +46,6 @@ def recording_with_lifted_corner(folder, design, number, corner, height, route, 
         hexapod_layout_rig_toml(0.3),
         rng,
         noise,
-        spoil=lambda corners: lifted(done, corners, number, corner, height),
+        corrupt_corners=lambda corners: lifted(done, corners, number, corner, height),
     )
     return recording_folder.load_recording(folder)

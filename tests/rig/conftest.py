@@ -77,9 +77,9 @@ def protocol(request):
 def ready(driven_design, protocol):
     """(driver, emulator, clock, home lengths) of a rig that is homed."""
     from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-    from rig.driving.emulators.fault_trials import emulated_bench
+    from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 
-    driver, emulator, clock = emulated_bench(driven_design, protocol, (), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, (), 1)
     driver.open()
     driver.home()
     return driver, emulator, clock, home_lengths(driven_design.mechanism)

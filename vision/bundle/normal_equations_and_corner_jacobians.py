@@ -20,7 +20,7 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
     Estimate,
     Unknowns,
     estimated_marker_motions_by_target_motions,
-    printing_jacobian,
+    printing_error_jacobian,
 )
 from vision.corner_observations import Observations, Whitener
 from vision.predict import (
@@ -272,7 +272,10 @@ def whitened_residuals_and_derivatives(
             shared.append(small_motion_jacobian(J_marker, at))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.prints.rows:
-            printed, parts = printing_jacobian(J_marker, small_motion_jacobian(J_marker, at), at), unknowns.prints.parts
+            printed, parts = (
+                printing_error_jacobian(J_marker, small_motion_jacobian(J_marker, at), at),
+                unknowns.prints.parts,
+            )
             if unknowns.prints.together.stop > unknowns.prints.together.start:
                 shared.append(printed[..., SIDE:])
                 columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))

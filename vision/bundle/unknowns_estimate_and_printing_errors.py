@@ -115,7 +115,7 @@ def fill_printing_error_offsets(markers: MarkerMap, stated: MarkerMap, prints: P
         offsets[columns] = away[row, prints.parts]
 
 
-def printing_jacobian(J: Floats, J_motion: Floats, corners_marker: Floats) -> Floats:
+def printing_error_jacobian(J: Floats, J_motion: Floats, corners_marker: Floats) -> Floats:
     """Jacobian (n, 2, 7) of corners to the printing errors NAMES.
     J : (n, 2, 3) to the corner in its marker's frame; J_motion : (n, 2, 6) to a motion; corners_marker : (n, 3) m
     """

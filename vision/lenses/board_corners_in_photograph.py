@@ -67,7 +67,7 @@ class Share(NamedTuple):
     by_rho: Floats
 
 
-def crossing_white_share(h: Floats, k: Floats, rho: float) -> Share:
+def edge_crossing_white_share(h: Floats, k: Floats, rho: float) -> Share:
     """White share at a crossing of two blurred edges, white where h and k have the same sign.
 
     h, k : (n,) distances to the edges in blur widths; rho : correlation, the cosine between the edges' normals
@@ -218,7 +218,7 @@ def _linearise(pixels: _Pixels, p: Floats, light: Floats | None, extent: _Extent
     # the y line's sign is turned so that both are positive in the quadrant between the axes
     turn = np.array([1.0, -1.0]) * np.sign(np.sin(p[3] - p[2]))
     h, k = (turn * across[use] / p[4]).T
-    w, dh, dk, dr = crossing_white_share(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
+    w, dh, dk, dr = edge_crossing_white_share(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
     if not pixels.white:
         w, dh, dk, dr = 1 - w, -dh, -dk, -dr
     grey, near = pixels.grey[use], d[use] / extent.size

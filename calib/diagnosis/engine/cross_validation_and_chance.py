@@ -40,20 +40,22 @@ class Dispersion(NamedTuple):
     freedom: float
 
 
-def scan_p_value(deltas: Floats, rank: float, freedom: float) -> float:
-    """p-value of the greatest delta chi-square of deltas (k,) of a scan, with `rank` linear parameters each.
+def scan_p_value(delta_chi2: Floats, rank: float, degrees_of_freedom: float) -> float:
+    """p-value of the greatest delta chi-square (k,) of a scan, with `rank` linear parameters each.
 
-    Scanned in order; Fisher's F stands for chi-square where the degrees of freedom of what deltas were divided by are
+    Scanned in order; Fisher's F stands for chi-square where the degrees of freedom of what they were divided by are
     few.
     """
-    top = max(float(deltas.max()), 1e-12)
+    top = max(float(delta_chi2.max()), 1e-12)
     rank = max(int(rank), 1)
     tail = (
-        scipy.special.fdtrc(rank, max(freedom, 1.0), top / rank) if freedom < MANY else scipy.special.chdtrc(rank, top)
+        scipy.special.fdtrc(rank, max(degrees_of_freedom, 1.0), top / rank)
+        if degrees_of_freedom < MANY
+        else scipy.special.chdtrc(rank, top)
     )
-    if len(deltas) == 1:
+    if len(delta_chi2) == 1:
         return float(tail)
-    variation = np.abs(np.diff(np.sqrt(np.maximum(deltas, 0)))).sum()
+    variation = np.abs(np.diff(np.sqrt(np.maximum(delta_chi2, 0)))).sum()
     half = rank / 2
     log_bound = np.log(max(variation, 1e-12)) + (half - 0.5) * np.log(top) - top / 2 - half * np.log(2) - gammaln(half)
     heavier = tail / max(

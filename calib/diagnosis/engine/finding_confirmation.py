@@ -153,9 +153,14 @@ class Finding(Generic[C]):
     alternatives: list[Alternative[C]]
 
 
-def is_significant(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+def is_significant(
+    score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
+) -> bool:
     """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
-    return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
+    return (
+        score.p_value * candidate_count <= policy.alpha
+        and score.delta_bic(independent_residual_count) >= policy.delta_bic
+    )
 
 
 def search_label(terms: Sequence[C]) -> str:
@@ -170,13 +175,16 @@ def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, i
     return None if progress is None else lambda done, of: progress(label, done, of)
 
 
-def may_become_significant_when_fitted(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+def may_become_significant_when_fitted(
+    score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
+) -> bool:
     """Whether a Score that is not significant may become so when fitted.
 
     It is unlikely by chance, or explains much by whichever frames.
     """
     return policy.hidden > 0 and (
-        score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic
+        score.p_value * candidate_count <= policy.hidden
+        or score.raw_delta_bic(independent_residual_count) >= policy.delta_bic
     )
 
 
@@ -387,9 +395,9 @@ def refit_with_other_member_of_law(
 
 
 def is_finding_significant(
-    problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int
+    problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, candidate_count: int
 ) -> bool:
-    """Whether a Finding is significant on a model without it, among `count` candidates."""
+    """Whether a Finding is significant on a model without it, among `candidate_count` candidates."""
     return is_significant(
-        problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy
+        problem.rescored(model, fit, finding.number), candidate_count, problem.linear(model).size, problem.policy
     )

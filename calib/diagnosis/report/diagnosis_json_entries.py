@@ -253,7 +253,7 @@ def json_tree(value: object) -> object:
     return [json_tree(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
-def kind_of_statement_beforehand(stated_terms: StatedTerms, effect: str, place: str) -> str | None:
+def kind_of_prior_statement_on_effect(stated_terms: StatedTerms, effect: str, place: str) -> str | None:
     r"""Kind of statement made beforehand of an effect at a place.
 
     Assumed, seen before, or None.
@@ -273,7 +273,7 @@ def entry_of_finding_before_search(measured_finding: MeasuredFinding) -> Finding
 
 
 # Any: candidates, of each kind of machine their own
-def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValidation) -> FindingEntry:
+def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], cross_validation: CrossValidation) -> FindingEntry:
     """FindingEntry of a Finding and how it predicts held-out data."""
     problem, fit, score = diagnosis.selection.problem, diagnosis.selection.fit, finding.score
     candidate = problem.terms(fit)[finding.number]
@@ -282,10 +282,10 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
     evidence = Evidence(
         score.delta_bic(problem.size(fit)),
         min(1.0, score.p_value * diagnosis.selection.candidate_count),
-        proof.before,
-        proof.after,
-        proof.unit,
-        proof.gain,
+        cross_validation.before,
+        cross_validation.after,
+        cross_validation.unit,
+        cross_validation.gain,
     )
     others = tuple(
         AlternativeEntry(
@@ -305,7 +305,7 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], proof: CrossValid
         evidence,
         others,
         kind.action_at(place),
-        kind_of_statement_beforehand(diagnosis.options.given, candidate.name, place),
+        kind_of_prior_statement_on_effect(diagnosis.options.given, candidate.name, place),
         unusual_size_reason(kind, place, parameters),
     )
 
@@ -343,7 +343,7 @@ def remark_reason_sentence(reason: str) -> str:
     return f"No more than {reason}."
 
 
-def largest_unexplained(diagnosis: Diagnosis) -> Unexplained | None:
+def largest_unexplained_part(diagnosis: Diagnosis) -> Unexplained | None:
     """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or None."""
     if diagnosis.left:
         first = diagnosis.left[0]

@@ -17,7 +17,7 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     RemarkEntry,
     SuggestionEntry,
 )
-from rig.formats.numbers_and_units import UNITS, number_text, separating_digits
+from rig.formats.numbers_and_units import UNITS, digits_that_distinguish_numbers, number_text
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -43,7 +43,7 @@ def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3)
 
 def _interval_text(low: float, high: float, unit: str, with_unit: bool = True) -> str:
     """Text such as "39.1 to 41.2 µm", to as many digits as tell its ends apart."""
-    digits = separating_digits(low, high)
+    digits = digits_that_distinguish_numbers(low, high)
     return f"{value_text(low, unit, False, digits)} to {value_text(high, unit, with_unit, digits)}"
 
 
@@ -58,7 +58,7 @@ def _ends(p: Value, with_unit: bool = True) -> str:
 
 def _digits(p: Value) -> int:
     """How many digits a number with a 95 % interval is written to."""
-    return 3 if p.ci95 is None or p.open is not None else separating_digits(*p.ci95)
+    return 3 if p.ci95 is None or p.open is not None else digits_that_distinguish_numbers(*p.ci95)
 
 
 def finding_title(finding: FindingEntry | RemarkEntry) -> str:

@@ -20,7 +20,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, tool_parameters
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
-from rig.model.hands_effect_places_and_tolerances import seen_hand
+from rig.model.hands_effect_places_and_tolerances import selected_hand_name
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log
@@ -78,7 +78,7 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
             arm = place_arm(own, arm.of_hand(number), base and not k, tool)
         return arm.of_hand(0)
     if len(observations) < LEAST[observations.kind]:
-        of_hand = f" of the hand {seen_hand(arm)!r}" if arm.hands else ""
+        of_hand = f" of the hand {selected_hand_name(arm)!r}" if arm.hands else ""
         raise NotEnoughData(
             f"{len(observations)} observations of a {observations.kind}{of_hand} cannot locate the instrument; "
             f"it takes {LEAST[observations.kind]}"

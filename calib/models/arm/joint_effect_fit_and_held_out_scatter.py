@@ -35,8 +35,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,
-    coordinates_of_effects,
     effects_with_coordinates,
+    fit_coordinates_of_effects,
 )
 from rig.model import motion_simulation
 from rig.model.base_and_link_tilts import TiltReadings
@@ -273,7 +273,7 @@ def _refined(
     measured: Samples, history: History, arm: Arm, effects: tuple[Effect, ...], before: Prior | None, columns: Columns
 ) -> JointFit:
     """Together from where effects and an Arm stand, with the geometry that is left in the end."""
-    coordinates = coordinates_of_effects(effects)
+    coordinates = fit_coordinates_of_effects(effects)
     samples = history.with_effects(measured, effects, arm)
     seen = WhitenedSamples.of(samples, history.identified(samples, arm))
     prior, own = _Prior.of(coordinates, effects, before), np.zeros((0, 0))
@@ -315,7 +315,7 @@ def _columns(
     """Columns of effects' coordinates at samples, by differences. before : near by, of which what is linear holds
     still; None to work out all
     """
-    coordinates = coordinates_of_effects(effects)
+    coordinates = fit_coordinates_of_effects(effects)
     n, k = samples.commanded.shape
     parts = [np.zeros((n, size, len(coordinates))) for size in (k, 6, 3)]
     if before is not None:

@@ -39,7 +39,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
-from calib.correction.correction_tables import CorrectionSummands, summands_by_nearest_axis_values
+from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit
@@ -85,7 +85,7 @@ def commanded_minus_joint_values_by_stated_arm(samples: Samples, placed_arm: Arm
     The joint values are those that give the measured poses.
 
     They are the joint correction summands. placed_arm : placed as the instrument sees it
-    Their covariance includes what all poses share. Raises RigError as `summands_by_nearest_axis_values`
+    Their covariance includes what all poses share. Raises RigError as `correction_summands_by_nearest_axis_values`
     """
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
     return commanded_minus_joint_values_of_measured_poses(whole, placed_arm, np.zeros(0))
@@ -100,7 +100,7 @@ def commanded_minus_joint_values_of_measured_poses(
 
     They are the joint correction summands.
     arm : the model; common_error_draw : (j,) draw of the poses' common errors, taken out
-    Raises RigError as `summands_by_nearest_axis_values`
+    Raises RigError as `correction_summands_by_nearest_axis_values`
     """
     o = sample_observations(samples)
     away = np.einsum("mkj,j->mk", o.common, common_error_draw)
@@ -109,7 +109,7 @@ def commanded_minus_joint_values_of_measured_poses(
         now = replace(o, q=q)
         return now.residuals(arm) - away, now.joint_jacobian(arm)
 
-    return summands_by_nearest_axis_values(
+    return correction_summands_by_nearest_axis_values(
         samples.frame, o.q, model, o.covariance, np.full(o.q.shape[1], PLAUSIBLE["rad"])
     )
 

@@ -23,7 +23,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
 from calib.correction.correction import AnyCorrection, Correction
-from calib.correction.correction_tables import CorrectionSummands, summands_by_nearest_axis_values
+from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
 from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_values
 from calib.models.chain.error_model_and_identification import (
@@ -46,7 +46,7 @@ NEAR = 0.1  # of an axis' travel, by which the model may be off
 def chain_correction_summands(samples: Samples, chain: Chain, covariance: Floats) -> CorrectionSummands:
     """Correction summands (n, axes) m or rad of a chain's axes at samples, nearest to none.
 
-    covariance : (n, 6, 6) of the measured poses. Raises RigError as `summands_by_nearest_axis_values`
+    covariance : (n, 6, 6) of the measured poses. Raises RigError as `correction_summands_by_nearest_axis_values`
     """
 
     def model(values: Floats) -> tuple[Floats, Floats]:
@@ -54,7 +54,7 @@ def chain_correction_summands(samples: Samples, chain: Chain, covariance: Floats
         return left, mechanism.jacobian(values, chain)
 
     near = NEAR * np.ptp(mechanism.travel_ranges(chain), axis=1)
-    return summands_by_nearest_axis_values(samples.frame, samples.effective, model, covariance, near)
+    return correction_summands_by_nearest_axis_values(samples.frame, samples.effective, model, covariance, near)
 
 
 def _field_samples(samples: Samples, chain: Chain) -> FieldSamples:

@@ -217,18 +217,19 @@ RANGE = (1e-5, 1.0)  # s
 
 
 def set_exposure_for_markers(
-    source: Source, white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
+    source: Source, measure_white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
 ) -> tuple[float, float]:
     """Set a camera's exposure such that markers do not clip.
 
-    white_level : (image) -> (level of the markers' white, of 255; share of their pixels that clip); start_exposure : s
+    measure_white_level : (image) -> (level of the markers' white, of 255; share of their pixels that clip);
+    start_exposure : s
     Returns (exposure in s, white level of 255)
     Raises CameraError where no exposure does it.
     """
     exposure = source.set_exposure(start_exposure)
     low, high = RANGE
     for _ in range(STEPS):
-        level, clips = white_level(source.grab().image)
+        level, clips = measure_white_level(source.grab().image)
         bright = clips > CLIPS or level >= CLIPPED
         if not bright and abs(level - WHITE) <= WHITE_SLACK * WHITE:
             return exposure, level

@@ -344,13 +344,13 @@ class LineEmulator(Emulator):
         return f"{refused} critical" if self.machine.deaf else accepted
 
 
-def load_user_emulator(stated: str) -> type[LineEmulator]:
+def load_user_emulator(file_or_package: str) -> type[LineEmulator]:
     """Emulator class in a user's file or package.
 
     "file:PATH" or "package:NAME".
     Raises FileError, RigError.
     """
-    kind, path = load_user_class(stated, LineEmulator, GROUP, "emulator")
+    kind, path = load_user_class(file_or_package, LineEmulator, GROUP, "emulator")
     for name in ("protocol", "answer"):
         if getattr(kind, name, None) is getattr(LineEmulator, name, None):
             raise user_class_error(path, kind, f"lacks {name}")

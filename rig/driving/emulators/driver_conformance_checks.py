@@ -17,9 +17,9 @@ from rig.driving.emulators.fault_trials import (
     ARRIVED,
     LONGEST,
     bring_home,
-    emulated_bench,
+    emulated_driver_with_emulator_and_clock,
     move_counts_with_faults,
-    times_executed,
+    move_execution_count,
 )
 from rig.driving.move_profiles_and_path_check import straight_move_segment
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
@@ -53,7 +53,7 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
     Raises FileError or RigError for a program of the user's own that cannot be used
     """
     design = _at_speed(design, USUAL)
-    emulated_bench(design, protocol)
+    emulated_driver_with_emulator_and_clock(design, protocol)
     checks: list[tuple[str, Callable[[Design, str, int], str]]] = [
         ("greets, homes and moves", _moves),
         ("a move before homing", _refused),
@@ -95,7 +95,7 @@ def _require(holds: bool, problem: str) -> None:
 
 
 def _moves(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(design, protocol, (), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
     home = home_lengths(require_struts(design.mechanism))
     clock.allow(10 * LONGEST)
     name = driver.link.protocol.name
@@ -110,7 +110,7 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
 
 
 def _refused(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(design, protocol, (), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
     mechanism = require_struts(design.mechanism)
     home = home_lengths(mechanism)
     clock.allow(LONGEST)
@@ -125,7 +125,7 @@ def _refused(design: Design, protocol: str, seed: int) -> str:
 
 
 def _stops_moving(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(design, protocol, (), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
     home = home_lengths(require_struts(design.mechanism))
     driver.open()
     driver.home()
@@ -155,7 +155,7 @@ def _stops_moving(design: Design, protocol: str, seed: int) -> str:
 
 
 def _stops_homing(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(_at_speed(design, SLOW), protocol, (), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(_at_speed(design, SLOW), protocol, (), seed)
     driver.open()
     clock.action_time, clock.action = clock.now() + 1.0, driver.link.interrupt
     clock.allow(LONGEST)
@@ -172,7 +172,7 @@ def _stops_homing(design: Design, protocol: str, seed: int) -> str:
 
 
 def _restarted(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(design, protocol, (), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
     home = home_lengths(require_struts(design.mechanism))
     driver.open()
     driver.home()
@@ -192,7 +192,7 @@ def _restarted(design: Design, protocol: str, seed: int) -> str:
 
 
 def _cut(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(design, protocol, (), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
     driver.open()
     driver.home()
     emulator.unplug(1e6)
@@ -225,7 +225,9 @@ def _fault(design: Design, protocol: str, seed: int, kind: str) -> str:
 
 
 def _homing_fails(design: Design, protocol: str, seed: int) -> str:
-    driver, emulator, clock = emulated_bench(_at_speed(design, SLOW), protocol, ("homes-on",), seed)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(
+        _at_speed(design, SLOW), protocol, ("homes-on",), seed
+    )
     home = home_lengths(require_struts(design.mechanism))
     driver.open()
     clock.allow(2 * design.driver().home_timeout)
@@ -242,7 +244,7 @@ def _homing_fails(design: Design, protocol: str, seed: int) -> str:
 
 
 def _small_buffer(design: Design, protocol: str, seed: int, kind: str) -> str:
-    driver, emulator, _ = emulated_bench(design, protocol, (kind,), seed)
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(design, protocol, (kind,), seed)
     home = home_lengths(require_struts(design.mechanism))
     target = home + 8.123456e-3 * np.cos(np.arange(len(home)))
     driver.open()
@@ -252,7 +254,7 @@ def _small_buffer(design: Design, protocol: str, seed: int, kind: str) -> str:
         driver.move(target)
     except MotionError as error:
         found = f"refused: {str(error).splitlines()[0]}"
-    wrong = len(emulator.machine.executed) - times_executed(emulator, 0, target)
+    wrong = len(emulator.machine.executed) - move_execution_count(emulator, 0, target)
     _require(not wrong, f"{wrong} moves to a place that nobody commanded")
     return found
 

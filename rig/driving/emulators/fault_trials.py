@@ -87,32 +87,32 @@ class MoveCounts:
         return {name: getattr(self, name) for name in names if getattr(self, name)}
 
 
-def emulated_bench(
-    design: Design, protocol: str, orders: Sequence[str] = (), seed: int = 1, **controller: object
+def emulated_driver_with_emulator_and_clock(
+    design: Design, protocol: str, fault_texts: Sequence[str] = (), seed: int = 1, **controller: object
 ) -> tuple[Driver, Emulator, TrialClock]:
     """Driver, emulator and simulated clock of a design's emulated controller.
 
-    protocol : as rig.toml states it; orders : faults, KIND or KIND:RATE; controller : other entries of [controller]
+    protocol : as rig.toml states it; fault_texts : each KIND or KIND:RATE; controller : other entries of [controller]
 
     Returns (driver, emulator, clock), on a simulated clock, the struts 1 mm from home
     """
     clock = TrialClock()
     stated: dict[str, Any] = {"protocol": protocol, **controller}
     design = replace(design, controller=replace(design.driver(), **stated))
-    faults = Faults(sum((parse_faults(order) for order in orders), ()), np.random.default_rng(seed))
+    faults = Faults(sum((parse_faults(order) for order in fault_texts), ()), np.random.default_rng(seed))
     emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
     return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
 
 
 def move_counts_with_faults(
-    design: Design, protocol: str, orders: Sequence[str], moves: int, seed: int, **controller: object
+    design: Design, protocol: str, fault_texts: Sequence[str], moves: int, seed: int, **controller: object
 ) -> MoveCounts:
     """MoveCounts of moves with faults, to places that are all different.
 
     Where a move was stopped, an operator homes, unlocks and switches off and on.
     Raises ControllerFault for a controller that cannot be brought home again.
     """
-    driver, emulator, clock = emulated_bench(design, protocol, orders, seed, **controller)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, fault_texts, seed, **controller)
     home, rng, counts = _home(design), np.random.default_rng(seed + 1), MoveCounts()
     driver.open()
     bring_home(driver, emulator)
@@ -125,7 +125,7 @@ def move_counts_with_faults(
             note = driver.move(target).note
             counts.done += 1
             counts.recovered += bool(note)
-            times, off = times_executed(emulator, before, target), _off(emulator, clock, target)
+            times, off = move_execution_count(emulator, before, target), _off(emulator, clock, target)
             if times != 1 or off > ARRIVED:
                 counts.unacknowledged += 1
                 counts.cases.append((k, note, times, off, tuple(emulator.faults.struck[struck:])))
@@ -135,18 +135,18 @@ def move_counts_with_faults(
             still_moving = emulator.machine.axes.until > clock.now() + 1.0
             counts.unsafe += still_moving  # after all that the driver did
             bring_home(driver, emulator)
-        counts.twice += int(times_executed(emulator, before, target) > 1)
+        counts.twice += int(move_execution_count(emulator, before, target) > 1)
         counts.hangs += int(clock.now() - begun > LONGEST)
         counts.struck.update(emulator.faults.struck[struck:])
     return counts
 
 
-def times_executed(emulator: Emulator, before: int, target: Floats) -> int:
+def move_execution_count(emulator: Emulator, skipped_moves: int, target: Floats) -> int:
     """How many times a move to target (axes,) m was executed.
 
-    After the first `before` moves.
+    After the first `skipped_moves`.
     """
-    return sum(bool(np.abs(one.target - target).max() < 1e-5) for one in emulator.machine.executed[before:])
+    return sum(bool(np.abs(one.target - target).max() < 1e-5) for one in emulator.machine.executed[skipped_moves:])
 
 
 def bring_home(driver: Driver, emulator: Emulator) -> None:

@@ -9,7 +9,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.controller_address_and_urgent_stop import motor_record_stop_message
+from rig.driving.controller_address_and_urgent_stop import epics_motor_record_stop_message
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import NUMBERS
@@ -54,7 +54,7 @@ class Epics:
 
     def __init__(self, motors: tuple[str, ...]) -> None:
         self.motors, self.started_anew = motors, False
-        self.urgent_stop = motor_record_stop_message(motors)
+        self.urgent_stop = epics_motor_record_stop_message(motors)
         self._unit, self._number = np.ones(len(motors)), 0
         self._homed = False
 

@@ -134,16 +134,18 @@ def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
     yield Exchange(b"", is_never_complete, seconds)
 
 
-def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: float) -> Dialogue[Verdict]:
+def await_homed(
+    home_command_verdict: Verdict, query_state: Callable[[], Dialogue[State]], timeout: float
+) -> Dialogue[Verdict]:
     """Dialogue that waits until a controller is homed or refuses.
 
     A controller that reports states; timeout s at the most.
-    begun : what its home command came to; state : asks for its State
+    home_command_verdict : what its home command came to; query_state : asks for its State
     """
     for _ in range(max(int(timeout / POLL), 1)):
-        if begun.accepted is False:
-            return begun
-        now = yield from state()
+        if home_command_verdict.accepted is False:
+            return home_command_verdict
+        now = yield from query_state()
         if now.fault or now.activity == "alarm":
             return Verdict(False, now.fault or now.controller_text)
         if now.activity == "idle":
@@ -152,13 +154,13 @@ def await_homed(begun: Verdict, state: Callable[[], Dialogue[State]], timeout: f
     return Verdict(None, f"not home after {timeout:g} s")
 
 
-def await_stopped(state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
+def await_stopped(query_state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
     """Dialogue that waits until a controller rests after a stop command.
 
     A controller that reports states; REST s at the most.
     """
     for _ in range(int(REST / POLL)):
-        if (yield from state()).activity not in ("moving", "homing"):
+        if (yield from query_state()).activity not in ("moving", "homing"):
             return Verdict(True)
         yield from pause_dialogue()
     return Verdict(None, f"still moving {REST:g} s after {command}")

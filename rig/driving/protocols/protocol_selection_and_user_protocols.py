@@ -24,7 +24,7 @@ from rig.driving.protocols.protocol_bases import (
 )
 from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, missing_member, user_class_error
 from rig.errors import ControllerFault, FileError
-from rig.formats.user_python_file import class_literal, read_user_text
+from rig.formats.user_python_file import literal_in_class_body, read_user_text
 from rig.model.design import Controller
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts as StrutMechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
@@ -94,7 +94,7 @@ def _check(kind: type[LineProtocol], path: str) -> None:
     for name in TEXTS:
         if not isinstance(getattr(kind, name, None), str) or not getattr(kind, name):
             raise user_class_error(path, kind, f"lacks {name}, a text", name)
-    if not isinstance(class_literal(read_user_text(Path(path))[0], "urgent_stop"), bytes):
+    if not isinstance(literal_in_class_body(read_user_text(Path(path))[0], "urgent_stop"), bytes):
         raise user_class_error(
             path,
             kind,

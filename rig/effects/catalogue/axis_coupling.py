@@ -17,7 +17,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Covariate,
     Drawing,
     Parameter,
-    draw_number,
+    draw_scalar_parameter,
     travel_covariate,
 )
 from rig.effects.framework.shared_effect_laws import CURVATURE, ScaleWithCurvature
@@ -73,7 +73,7 @@ class AxisCoupling(ScaleWithCurvature):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         others = [float(i + 1) for i, other in enumerate(drawing.motion.places) if other != place]
-        return cls(place, draw_number(cls.parameters[0], drawing, rng), float(rng.choice(others)))
+        return cls(place, draw_scalar_parameter(cls.parameters[0], drawing, rng), float(rng.choice(others)))
 
     @classmethod
     def straight_candidates(cls, place: str, context: Context) -> list[Candidate]:

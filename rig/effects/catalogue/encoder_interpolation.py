@@ -19,7 +19,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Drawing,
     Node,
     Parameter,
-    draw_number,
+    draw_scalar_parameter,
     quadrature_columns,
 )
 
@@ -75,7 +75,7 @@ class EncoderInterpolation(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        amplitude, phase = (draw_number(p, drawing, rng) for p in cls.parameters[:2])
+        amplitude, phase = (draw_scalar_parameter(p, drawing, rng) for p in cls.parameters[:2])
         return cls(
             place,
             amplitude,

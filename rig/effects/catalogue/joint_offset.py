@@ -18,11 +18,11 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Drawing,
     Linear,
     Parameter,
-    draw_number,
+    draw_scalar_parameter,
 )
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod import cardan_plate_axes
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod_or_redundant_hexapod
 
 BALL = "cardan-ball"
 CARDANS = {"cardan-cardan": (0.0, 1.0), BALL: (0.0,)}  # ends that have one, by [actuator] joints
@@ -57,7 +57,10 @@ class JointOffset(Effect):
         return f"takes a cardan at end {' or '.join(f'{e:g}' for e in ends)} of the strut"
 
     def deviation(self, motion: Motion) -> Floats:
-        excess, home = (self._excess(motion, T) for T in (motion.posed(), require_platform(motion.mechanism).home))
+        excess, home = (
+            self._excess(motion, T)
+            for T in (motion.posed(), require_hexapod_or_redundant_hexapod(motion.mechanism).home)
+        )
         return self.axes(motion.places) * (excess - home)
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -74,7 +77,7 @@ class JointOffset(Effect):
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        m = require_platform(motion.mechanism)
+        m = require_hexapod_or_redundant_hexapod(motion.mechanism)
         matrix = T.as_matrix()[..., None, :, :]
         R = matrix[..., :3, :3]
         strut = (R @ m.platform_joints[..., None])[..., 0] + matrix[..., :3, 3] - m.base_joints
@@ -89,7 +92,10 @@ class JointOffset(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        offset, ends = draw_number(cls.parameters[0], drawing, rng), CARDANS[drawing.motion.actuator.joints or BALL]
+        offset, ends = (
+            draw_scalar_parameter(cls.parameters[0], drawing, rng),
+            CARDANS[drawing.motion.actuator.joints or BALL],
+        )
         return cls(place, offset, float(rng.choice(ends)))
 
     @classmethod

@@ -19,7 +19,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Parameter,
     log_uniform,
 )
-from rig.model.design import Camera, chebyshev_products, warp_columns
+from rig.model.design import Camera, chebyshev_products, image_warp_columns
 from rig.model.hands_effect_places_and_tolerances import Place
 
 LACKING = {
@@ -53,7 +53,7 @@ class LensDistortion(Effect):
     warps: ClassVar = True
 
     def problem(self) -> str | None:
-        sizes = [0, *(warp_coefficient_count(degree) for degree in range(2, 31))]
+        sizes = [0, *(image_warp_coefficient_count(degree) for degree in range(2, 31))]
         return (
             None
             if len(self.warp) in sizes
@@ -77,7 +77,7 @@ class LensDistortion(Effect):
     def bending(cls, camera: Camera, quads: Floats, columns: Sequence[Linear]) -> Floats | None:
         if any(column.name != "warp" for column in columns):
             return None
-        return warp_columns(camera, quads, _degree(len(columns)))
+        return image_warp_columns(camera, quads, _degree(len(columns)))
 
     def fitted(self, parameter: Parameter) -> tuple[int, ...]:
         if parameter.name == "terms" and self.warp:
@@ -87,8 +87,8 @@ class LensDistortion(Effect):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "LensDistortion":
         size, which = log_uniform(rng, *SIZES), rng.integers(3)
-        free = range(warp_coefficient_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
-        unit = np.zeros(warp_coefficient_count(WARPS[0]) if which == 2 else 12)
+        free = range(image_warp_coefficient_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
+        unit = np.zeros(image_warp_coefficient_count(WARPS[0]) if which == 2 else 12)
         unit[list(free)] = rng.normal(size=len(free)) * 1e-3
         name, camera = "warp" if which == 2 else "terms", drawing.design.camera(Place.parse(place).name)
         moved = drawing.displaced(cls(place, **{name: tuple(unit.tolist())}), camera)
@@ -106,8 +106,8 @@ class LensDistortion(Effect):
             Candidate(
                 cls,
                 place,
-                [{COUNT: warp_coefficient_count(d)}],
-                [Linear("warp", j, 1e-2) for j in range(warp_coefficient_count(d))],
+                [{COUNT: image_warp_coefficient_count(d)}],
+                [Linear("warp", j, 1e-2) for j in range(image_warp_coefficient_count(d))],
                 f"warp {d}",
             )
             for d in WARPS
@@ -119,6 +119,6 @@ def _degree(numbers: int) -> int:
     return round((np.sqrt(25 + 4 * numbers) - 3) / 2)
 
 
-def warp_coefficient_count(degree: int) -> int:
+def image_warp_coefficient_count(degree: int) -> int:
     """Number of coefficients of an image warp of a degree."""
     return (degree + 1) * (degree + 2) - 6

@@ -13,7 +13,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Drawing,
     Markers,
     Parameter,
-    draw_number,
+    draw_scalar_parameter,
     markers_with_replaced_columns,
 )
 from rig.model.hands_effect_places_and_tolerances import Place
@@ -52,4 +52,4 @@ class MarkerFlatness(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        return cls(place, draw_number(cls.parameters[0], drawing, rng), float(rng.integers(CORNERS)))
+        return cls(place, draw_scalar_parameter(cls.parameters[0], drawing, rng), float(rng.integers(CORNERS)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.parameters_covariates_and_markers import Context, Drawing, Parameter, draw_number
+from rig.effects.framework.parameters_covariates_and_markers import Context, Drawing, Parameter, draw_scalar_parameter
 from rig.model.design import Camera
 from rig.model.hands_effect_places_and_tolerances import Place
 
@@ -78,7 +78,7 @@ class Refraction(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        thickness = draw_number(cls.parameters[0], drawing, rng)
+        thickness = draw_scalar_parameter(cls.parameters[0], drawing, rng)
         if rng.random() < SQUARE:
             return cls(place, thickness)
         tilt, toward = rng.uniform(0, MOST), rng.uniform(0, 2 * np.pi)

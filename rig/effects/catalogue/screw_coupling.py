@@ -16,11 +16,11 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Covariate,
     Linear,
     Parameter,
-    derivative_step,
+    numerical_derivative_step,
 )
 from rig.errors import RigError
 from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_platform
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod_or_redundant_hexapod
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class ScrewCoupling(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         plain = cls.linear(place)
-        growing = [*plain, Linear("growth", None, derivative_step(cls.parameters[1]))]
+        growing = [*plain, Linear("growth", None, numerical_derivative_step(cls.parameters[1]))]
         return [Candidate(cls, place, [{}], plain), Candidate(cls, place, [{}], growing, "growing")]
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -64,5 +64,5 @@ class ScrewCoupling(Effect):
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        m = require_platform(motion.mechanism)
+        m = require_hexapod_or_redundant_hexapod(motion.mechanism)
         return cardan_twist_angles_about_struts(motion.posed(), m) - cardan_twist_angles_about_struts(m.home, m)

@@ -20,8 +20,8 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Linear,
     Node,
     Parameter,
-    derivative_step,
     log_uniform,
+    numerical_derivative_step,
     travel_covariate,
 )
 from rig.model.hands_effect_places_and_tolerances import Place
@@ -106,7 +106,7 @@ class TransmissionError(Effect):
             cls,
             place,
             [node],
-            [Linear(p.name, j, derivative_step(p)) for j in range(node[COUNT])],
+            [Linear(p.name, j, numerical_derivative_step(p)) for j in range(node[COUNT])],
             f"{node[COUNT]} knots",
         )
 

@@ -29,11 +29,11 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Markers,
     Node,
     Parameter,
-    derivative_step,
     draw_parameter,
+    grid_nodes_of_both_signs,
+    numerical_derivative_step,
     parameter_grid,
     parameter_values,
-    signed_size_nodes,
 )
 from rig.errors import RigError
 from rig.model.design import Camera
@@ -264,7 +264,9 @@ class Effect:
         What shows in motion alone is tried at sizes of either sign where every exposure was taken at rest."""
         linear = cls.linear(place)
         if cls.moving and linear and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
-            return [Candidate(cls, place, signed_size_nodes(cls.parameters, linear[0].name), [], "at rest", extra=1)]
+            return [
+                Candidate(cls, place, grid_nodes_of_both_signs(cls.parameters, linear[0].name), [], "at rest", extra=1)
+            ]
         searched = [p.at(place) for p in cls.parameters if p.tried or p.role in SEARCHED]
         late = {p.name for p in searched if p.role == "moment" and np.isinf(getattr(cls(place), p.name))}
         out = []
@@ -279,8 +281,8 @@ class Effect:
         """The columns of the model at a place: its linear and inverse parameters, and the quadrature of a phase."""
         parameters = [p.at(place) for p in cls.parameters]
         own = [(p, None if p.size == 1 else j) for p in parameters if p.role in LINEAR for j in range(p.size)]
-        return [Linear(p.name, index, derivative_step(p)) for p, index in own] + [
-            Linear(QUADRATURE, None, derivative_step(next(q for q in parameters if q.role == "linear")))
+        return [Linear(p.name, index, numerical_derivative_step(p)) for p, index in own] + [
+            Linear(QUADRATURE, None, numerical_derivative_step(next(q for q in parameters if q.role == "linear")))
             for p in parameters
             if p.role == "phase"
         ]

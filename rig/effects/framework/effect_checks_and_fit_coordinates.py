@@ -134,7 +134,7 @@ def _changed(effect: Effect, name: str, value: float | tuple[float, ...]) -> Eff
     return type(effect)(effect.place, **{**effect.values(), name: value})
 
 
-def coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
+def fit_coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
     """Coordinates ([Coordinate]) of the effects' parameters that a fit may change, in order."""
     return [
         Coordinate(number, p.name, index, p.role, _step(p), p.bounds, inverse_prior_standard_deviation(p, index))

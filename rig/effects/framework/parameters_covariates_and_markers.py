@@ -135,7 +135,7 @@ def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
 Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each, or several
 
 
-def signed_size_nodes(parameters: Sequence[Parameter], name: str) -> list[Node]:
+def grid_nodes_of_both_signs(parameters: Sequence[Parameter], name: str) -> list[Node]:
     """Nodes {parameter: value} of usual sizes of either sign of the parameter of a name."""
     usual = next(p.usual for p in parameters if p.name == name)
     return [{name: sign * size} for sign in (-1, 1) for size in _sizes(*usual)]
@@ -147,7 +147,7 @@ def _sizes(low: float, high: float) -> list[float]:
     return [*(low / (usual[1] / low) ** np.arange(SMALLER, 0, -1)).tolist(), *usual.tolist()]
 
 
-def derivative_step(parameter: Parameter) -> float:
+def numerical_derivative_step(parameter: Parameter) -> float:
     """Step of a parameter for its numerical derivative."""
     size = (
         np.sqrt(parameter.usual[0] * parameter.usual[1])
@@ -194,7 +194,7 @@ def draw_parameter(parameter: Parameter, drawing: Drawing, rng: np.random.Genera
     return tuple((size / np.sqrt(parameter.size) * rng.normal(size=parameter.size)).tolist())
 
 
-def draw_number(parameter: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
+def draw_scalar_parameter(parameter: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
     """Number of a scalar parameter drawn at random over its usual range.
 
     Raises ValueError for a vector.
@@ -319,14 +319,16 @@ def parameter_values(
     return {**values, **{name: tuple(v.tolist()) for name, v in vectors.items()}}
 
 
-def quadrature_columns(travel: Floats, own: Booleans, rates: Sequence[float], phases: Sequence[float]) -> Floats:
+def quadrature_columns(
+    travel: Floats, affected_axes: Booleans, rates: Sequence[float], phases: Sequence[float]
+) -> Floats:
     """Quadrature columns (k, n, axes, 2): sine and cosine of rate * travel + phase.
 
-    travel : (n, axes) m or rad; own : (axes,) of which; rates : (k,) rad per m or rad; phases : (k,) rad
+    travel : (n, axes) m or rad; affected_axes : (axes,) of which; rates : (k,) rad per m or rad; phases : (k,) rad
     """
-    angle = np.array(rates)[:, None, None] * travel[:, own] + np.array(phases)[:, None, None]
+    angle = np.array(rates)[:, None, None] * travel[:, affected_axes] + np.array(phases)[:, None, None]
     out = np.zeros((len(rates), *travel.shape, 2))
-    out[:, :, own, 0], out[:, :, own, 1] = np.sin(angle), np.cos(angle)
+    out[:, :, affected_axes, 0], out[:, :, affected_axes, 1] = np.sin(angle), np.cos(angle)
     return out
 
 

@@ -18,7 +18,7 @@ from rig.effects.framework.parameters_covariates_and_markers import (
     Linear,
     Node,
     Parameter,
-    derivative_step,
+    numerical_derivative_step,
     parameter_grid,
 )
 
@@ -109,7 +109,7 @@ class WeightedSum(Effect):
                 cls,
                 place,
                 [{scale.name: value, COUNT: count} for value in parameter_grid(scale, context.t)],
-                [Linear(size.name, k, derivative_step(size)) for k in range(count)],
+                [Linear(size.name, k, numerical_derivative_step(size)) for k in range(count)],
                 f"{count} members",
                 extra=1,
             )
@@ -189,7 +189,7 @@ class ScaleWithCurvature(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         scale, straight = cls.parameters_at(place)[0], cls.straight_candidates(place, context)
-        step = derivative_step(scale)  # of the scale; what the curvature adds is a share of it
+        step = numerical_derivative_step(scale)  # of the scale; what the curvature adds is a share of it
         curved = [Linear(scale.name, 0, step), Linear(scale.name, 1, 0.1 * step)]
         return straight + [
             replace(c, grid=[{**node, COUNT: 2} for node in c.grid], linear=curved, label="curved") for c in straight

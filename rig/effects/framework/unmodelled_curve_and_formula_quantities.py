@@ -315,12 +315,18 @@ def _restored(over: str, place: str, values: Mapping[str, object]) -> Unmodelled
 
 
 @cache
-def curve_class_over_covariate(over: str) -> type[UnmodelledCurve]:
+def curve_class_over_covariate(covariate: str) -> type[UnmodelledCurve]:
     """Class of the curves over a covariate.
 
     TIME, TRAVEL, HISTORY, one of POSE or a sensor channel.
     """
-    own = {"__slots__": (), "over": over, "name": PREFIX + over, "on_pose": over in POSE, "sudden": over == TIME}
+    own = {
+        "__slots__": (),
+        "over": covariate,
+        "name": PREFIX + covariate,
+        "on_pose": covariate in POSE,
+        "sudden": covariate == TIME,
+    }
     return type("UnmodelledCurve", (UnmodelledCurve,), own)
 
 

@@ -90,7 +90,7 @@ def example_run_with_effect(
         Raises
     RigError for an effect that cannot be shown on this rig
     """
-    base = sketch_hexapod()
+    base = hexapod_design_for_sketches()
     seen = base if design is None else replace(base, cameras=design.cameras, targets=design.targets)
     span = _span(kind, place)
     t = np.linspace(0.0, span, COUNT)
@@ -109,7 +109,7 @@ def example_run_with_effect(
 
 
 @cache
-def sketch_hexapod() -> Design:
+def hexapod_design_for_sketches() -> Design:
     """Design of the hexapod used in all sketches, with an off-centre payload."""
     design = design_from_rig_toml.design_of_entries(
         toml_entries(

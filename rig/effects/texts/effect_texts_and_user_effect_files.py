@@ -25,7 +25,7 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import parse_number
-from rig.formats.user_python_file import UserModule, line_of_class, line_within, read_user_text, run_user_text
+from rig.formats.user_python_file import UserModule, line_in_file_of_error, line_of_class, read_user_text, run_user_text
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.hands_effect_places_and_tolerances import AXES, Place, parse_place_in_stage
@@ -41,7 +41,7 @@ def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
     Raises RigError naming what is not known.
     """
     name, _, rest = text.partition(":")
-    kind = named_effect(name, text, known_effects)
+    kind = effect_class_by_name(name, text, known_effects)
     place, _, assignments = rest.partition(":")
     values = {}
     own = {parameter.name: parameter for parameter in kind.parameters}
@@ -83,7 +83,7 @@ def _place(text: str, kind: type[Effect]) -> str:
     return text
 
 
-def named_effect(name: str, text: str, known: Kinds) -> type[Effect]:
+def effect_class_by_name(name: str, text: str, known: Kinds) -> type[Effect]:
     """Class of the effect of a name, of known ones.
 
     text : for the message.
@@ -122,7 +122,7 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
     Raises RigError otherwise.
     """
     name, _, place = text.partition(" ")
-    kind = named_effect(name, name, known_effects)
+    kind = effect_class_by_name(name, name, known_effects)
     if not place:
         return text
     try:
@@ -138,7 +138,7 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
     Raises RigError otherwise.
     """
     name, _, place = text.partition(" ")
-    kind = named_effect(name, text, known_effects)
+    kind = effect_class_by_name(name, text, known_effects)
     if kind.discrete:
         raise RigError(
             f"{short_repr(text)}: a {name} is searched for first and cannot be assumed; state it in rig.toml"
@@ -349,7 +349,7 @@ def _guarded(hook: Callable[..., T], name: str, path: Path) -> Callable[..., T]:
             raise
         except Exception as error:
             raise FileError(
-                path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", line_within(error, path)
+                path, f"{effect.name}.{name} fails: {type(error).__name__}: {error}", line_in_file_of_error(error, path)
             ) from None
         if name in ARRAYS:
             expected = np.shape(getattr(Effect, name)(effect, *given))

@@ -36,14 +36,14 @@ Like = Callable[[Floats], bool]
 
 
 def exposures_with_times(
-    exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, like: Like
+    exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, are_plausible: Like
 ) -> tuple[ImportedExposures, Recipe]:
     """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.
 
-    like : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
+    are_plausible : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
     """
     if recipe.frames is not None:
-        return _by_table(exposed, recipe, recipe.frames, like)
+        return _by_table(exposed, recipe, recipe.frames, are_plausible)
     if exposed.t is not None:
         return exposed, recipe
     numbers = sorted(set(exposed.frame))

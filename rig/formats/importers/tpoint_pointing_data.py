@@ -206,14 +206,16 @@ def _refuse(path: Path, line: int, words: list[str]) -> NoReturn:
     )
 
 
-def zenith_distances(places: Floats, latitude: float) -> Floats:
+def zenith_distances(hour_angles_and_declinations: Floats, latitude: float) -> Floats:
     """Zenith distances (n,) rad of hour angles and declinations (n, 2) rad."""
-    hour, declination = places.T
+    hour, declination = hour_angles_and_declinations.T
     up = np.sin(declination) * np.sin(latitude) + np.cos(declination) * np.cos(latitude) * np.cos(hour)
     return np.asarray(np.arccos(np.clip(up, -1, 1)))
 
 
-def refracted_hour_angle_and_declination(places: Floats, latitude: float, weather: Weather) -> Floats:
+def refracted_hour_angle_and_declination(
+    hour_angles_and_declinations: Floats, latitude: float, weather: Weather
+) -> Floats:
     """Hour angle and declination (n, 2) rad of stars as observed through the air.
 
     Of those without it.
@@ -221,8 +223,8 @@ def refracted_hour_angle_and_declination(places: Floats, latitude: float, weathe
     By the first two terms of refraction in the tangent of the zenith distance, which hold to an arc second above some
     15 degrees
     """
-    hour, declination = places.T
-    c, s, zenith = np.cos(latitude), np.sin(latitude), zenith_distances(places, latitude)
+    hour, declination = hour_angles_and_declinations.T
+    c, s, zenith = np.cos(latitude), np.sin(latitude), zenith_distances(hour_angles_and_declinations, latitude)
     first, third = refraction_terms(latitude, weather)
     seen = zenith.copy()
     for _ in range(ROUNDS):

@@ -115,7 +115,7 @@ def fits_ranges(values: Floats, ranges: Floats) -> bool:
 
 
 def likely_length_units_and_zeros(
-    values: Floats, ranges: Floats, home_lengths: Floats, units: Sequence[str], relative: Sequence[str]
+    values: Floats, ranges: Floats, home_lengths: Floats, units: Sequence[str], zeros: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Likely units and zeros (unit, "zero" or "home") of lengths.
 
@@ -125,12 +125,12 @@ def likely_length_units_and_zeros(
     return [
         (u, r)
         for u in units
-        for r in relative
+        for r in zeros
         if fits_ranges(values / LENGTHS[u] + (home_lengths if r == "home" else 0.0), ranges)
     ]
 
 
-def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: str) -> bool:
+def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, zero: str) -> bool:
     """Whether a unit is likely for lengths (n, axes).
 
     They travel a plausible share of their ranges (axes, 2) m.
@@ -138,7 +138,7 @@ def is_likely_length_unit(values: Floats, ranges: Floats, unit: str, relative: s
     travel = np.ptp(values)
     about_zero = values.min() <= MOST_BEYOND * travel and values.max() >= -MOST_BEYOND * travel
     return bool(
-        travel / LENGTHS[unit] >= LEAST_TRAVEL * np.ptp(ranges, axis=1).max() and (relative == "zero" or about_zero)
+        travel / LENGTHS[unit] >= LEAST_TRAVEL * np.ptp(ranges, axis=1).max() and (zero == "zero" or about_zero)
     )
 
 

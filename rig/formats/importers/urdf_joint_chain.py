@@ -68,14 +68,14 @@ class UrdfJoint:
         return f"read joint {self.name}: {self.kind}, {stated} {limits_text(self.limits, self.kind == 'prismatic')}"
 
 
-def limits_text(limits: Sequence[float], slide: bool) -> str:
+def limits_text(limits: Sequence[float], is_slide: bool) -> str:
     """Limits of a joint for people.
 
     In mm of a slide, else in degrees.
     limits : (2,) m or rad
     """
-    low, high = np.asarray(limits) * (1e3 if slide else 180 / np.pi)
-    return f"{low:.6g} .. {high:.6g} {'mm' if slide else 'deg'}"
+    low, high = np.asarray(limits) * (1e3 if is_slide else 180 / np.pi)
+    return f"{low:.6g} .. {high:.6g} {'mm' if is_slide else 'deg'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

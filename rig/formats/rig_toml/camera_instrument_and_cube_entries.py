@@ -362,22 +362,22 @@ def replace_target_markers(text: str, markers: dict[str, tuple[Marker, ...]]) ->
 ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's entry point
 
 
-def user_program_entry(table: Entries, key: str, stated: str) -> str:
+def user_program_entry(table: Entries, key: str, file_or_package: str) -> str:
     """Entry of rig.toml that names a user's program: a file or a package.
 
-    A stated "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
+    A file_or_package "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
     Raises FileError.
     """
-    kind, _, place = stated.partition(":")
+    kind, _, place = file_or_package.partition(":")
     if kind == "package":
         if not ENTRY_POINT.fullmatch(place):
-            table.fail(f"{table.name(key)}: expected package:NAME, an entry point's name, not {stated!r}", key)
-        return stated
+            table.fail(f"{table.name(key)}: expected package:NAME, an entry point's name, not {file_or_package!r}", key)
+        return file_or_package
     path = PurePosixPath(place)
     if path.is_absolute() or path.suffix != ".py" or not place.isprintable():
         table.fail(
-            f"{table.name(key)}: expected file:NAME.py, a path relative to this file's folder, not {stated!r}",
+            f"{table.name(key)}: expected file:NAME.py, a path relative to this file's folder, not {file_or_package!r}",
             key,
-            value=stated,
+            value=file_or_package,
         )
     return f"{kind}:{table.file.parent / path}"

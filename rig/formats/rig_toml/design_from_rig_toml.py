@@ -45,7 +45,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_hexapod,
     is_redundant,
 )
-from rig.model.protocol_and_port_names import is_motor_record, is_user_program, port_problem
+from rig.model.protocol_and_port_names import is_motor_record_name, is_user_program, port_problem
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -160,7 +160,7 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     if is_redundant(mechanism):
         table.fail(f"[controller] drives six struts, and this platform has {n}: drive it by the lengths of rig correct")
     protocol = _protocol(table)
-    axes, fits = table.get("axes", []), is_motor_record if protocol == "epics" else str.isalnum
+    axes, fits = table.get("axes", []), is_motor_record_name if protocol == "epics" else str.isalnum
     if (
         not isinstance(axes, list)
         or not all(isinstance(name, str) and fits(name) for name in axes)

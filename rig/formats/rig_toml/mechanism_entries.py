@@ -13,7 +13,7 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
-from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, planar_of_table
+from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, two_strut_plane_of_table
 from rig.model.hands_effect_places_and_tolerances import Branch, Hand, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism
@@ -50,12 +50,12 @@ def bodies_by_name_in_rig_toml(mechanism: Mechanism) -> dict[str, str]:
     return {"base": "base", **{name: f"stage {k}" if k else "platform" for k, name in enumerate(names)}}
 
 
-def branches_of_tables(table: Entries, joints: int) -> tuple[Branch, ...]:
+def branches_of_tables(table: Entries, joint_count: int) -> tuple[Branch, ...]:
     """Branches of a table [mechanism] of an arm with so many joints. Raises FileError for what makes no tree."""
     out: list[Branch] = []
     for one in table.tables("branch"):
         one.refuse_misspelt(("joint", "parent", "mount"))
-        joint, parent = _joint(one, 2, joints), one.whole("parent", 0)
+        joint, parent = _joint(one, 2, joint_count), one.whole("parent", 0)
         if parent >= joint:
             one.fail(f"{one.name('parent')} must be a joint before joint {joint}, or 0 for the base", "parent")
         if joint - 1 in [branch.joint for branch in out]:
@@ -73,7 +73,7 @@ def _joint(table: Entries, least: int, joints: int) -> int:
     return number
 
 
-def hands_of_tables(table: Entries, joints: int, branches: tuple[Branch, ...]) -> tuple[Hand, ...]:
+def hands_of_tables(table: Entries, joint_count: int, branches: tuple[Branch, ...]) -> tuple[Hand, ...]:
     """Hands of a table [mechanism] of an arm with so many joints; none where it states no [[mechanism.hand]].
 
     Raises FileError for a single hand, names given twice, a tool stated elsewhere, and branches without hands
@@ -87,7 +87,7 @@ def hands_of_tables(table: Entries, joints: int, branches: tuple[Branch, ...]) -
         out.append(
             Hand(
                 name,
-                _joint(one, 1, joints) - 1,
+                _joint(one, 1, joint_count) - 1,
                 one.pose("tool") if "tool" in one.tree else RigidTransform.identity(),
                 one.number("mass", None, least=0, unit="kg"),
                 one.array("centre_of_mass", (3,), None, length_limit=LARGEST_RIG),
@@ -344,5 +344,9 @@ def _arm(table: Entries) -> Arm:
     return Arm(joints, joint_limits(table, slides), slides=slides, branches=branches, hands=hands, **stands)
 
 
-STAGES: dict[str, Callable[[Entries], Stage]] = {"hexapod": hexapod_of_table, "planar2": planar_of_table, "arm": _arm}
+STAGES: dict[str, Callable[[Entries], Stage]] = {
+    "hexapod": hexapod_of_table,
+    "planar2": two_strut_plane_of_table,
+    "arm": _arm,
+}
 WHOLE: dict[str, Callable[[Entries], Mechanism]] = {**STAGES, "chain": _chain, "free": _free}

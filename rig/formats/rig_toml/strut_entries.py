@@ -11,7 +11,7 @@ from rig.model.mechanisms.redundant_struts import hexapod_of_actuated_struts
 SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
 
 
-def planar_of_table(table: Entries) -> Planar2:
+def two_strut_plane_of_table(table: Entries) -> Planar2:
     """Two struts of a table, lengths in m. Raises FileError."""
     table.refuse_misspelt(("kind", "base_joints", "strut_range"))
     return Planar2(
@@ -27,7 +27,7 @@ def hexapod_of_table(table: Entries) -> Hexapod:
     base = table.array("base_joints", (count, 3), length_limit=LARGEST_RIG)
     platform = table.array("platform_joints", (count, 3), length_limit=LARGEST_RIG)
     ranges = _strut_ranges(table, "strut_range", count, LARGEST_RIG)
-    hexapod = Hexapod(base, platform, ranges, table.pose("home"), followers=follower_numbers(table, count))
+    hexapod = Hexapod(base, platform, ranges, table.pose("home"), followers=follower_strut_numbers(table, count))
     per_m, unit = table.units.per_si("m"), table.units.length
     digits = 6 if unit == "m" else 3
     lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
@@ -52,7 +52,7 @@ def stated_strut_count(table: Entries) -> int:
     return min(max(listed, STRUT_COUNTS[0]), STRUT_COUNTS[-1])
 
 
-def follower_numbers(table: Entries, count: int) -> tuple[int, ...]:
+def follower_strut_numbers(table: Entries, count: int) -> tuple[int, ...]:
     """Numbers, from 0, of the struts that bear no force and follow, of `count`; none where nothing is stated.
 
     Raises FileError for other numbers than there are struts beyond six

@@ -322,9 +322,9 @@ def _rotate_vectors(v: Floats, u: Floats, t: float) -> Floats:
     return Rotation.from_rotvec(t * u).apply(v)
 
 
-def rotate_points(points: Floats, o: Floats, u: Floats, t: float) -> Floats:
-    """Points (..., 3) m rotated about the axis through o (3,) m along u (3,) by t rad."""
-    return o + _rotate_vectors(points - o, u, t)
+def rotate_points(points: Floats, axis_point: Floats, axis_direction: Floats, angle: float) -> Floats:
+    """Points (..., 3) m rotated about an axis through axis_point (3,) m along axis_direction (3,), by rad."""
+    return axis_point + _rotate_vectors(points - axis_point, axis_direction, angle)
 
 
 def _wrap_angle(t: float) -> float:

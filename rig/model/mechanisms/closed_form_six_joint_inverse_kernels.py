@@ -150,7 +150,7 @@ def both_elbow_points(
 
 
 @njit(cache=True, error_model="numpy")
-def vector_from_axes(v: Vector, ex: Vector, ey: Vector, ez: Vector) -> Vector:
+def vector_from_axis_components(v: Vector, ex: Vector, ey: Vector, ez: Vector) -> Vector:
     """Vector with components v along the axes ex, ey, ez of the hand."""
     return add_scaled(add_scaled(add_scaled((0.0, 0.0, 0.0), ex, v[0]), ey, v[1]), ez, v[2])
 
@@ -176,7 +176,7 @@ def _hand(hands: Floats, m: int, key: Vector) -> tuple[Vector, Vector, Vector, V
     A = matrix_row(hands[m], 0)
     ez, ey = add_scaled(matrix_row(hands[m], 1), A, -1.0), add_scaled(matrix_row(hands[m], 2), A, -1.0)
     ex = cross(ey, ez)
-    return add_scaled(vector_from_axes(key, ex, ey, ez), A, 1.0), ex, ey, ez
+    return add_scaled(vector_from_axis_components(key, ex, ey, ez), A, 1.0), ex, ey, ez
 
 
 @njit(cache=True, error_model="numpy")
@@ -262,7 +262,7 @@ def spherical_wrist_inverse(
                     rotate_vector(rotate_vector(y1, u2, c, s), u3, d, e),
                     rotate_vector(rotate_vector(z1, u2, c, s), u3, d, e),
                 )
-                v, w = vector_from_axes(u6, x, y, z), vector_from_axes(mark, x, y, z)
+                v, w = vector_from_axis_components(u6, x, y, z), vector_from_axis_components(mark, x, y, z)
                 first5, second5, h5, miss = _wrist(u4, v, bend)
                 if miss > SLACK:
                     if worst == np.inf:
@@ -355,7 +355,7 @@ def parallel_axes_inverse(
                 rotate_vector(ey, u1, c, s),
                 rotate_vector(ez, u1, c, s),
             )
-            v, w = vector_from_axes(u6, x, y, z), vector_from_axes(mark, x, y, z)
+            v, w = vector_from_axis_components(u6, x, y, z), vector_from_axis_components(mark, x, y, z)
             first5, second5, h5, miss = _wrist(u2, v, bend)
             if miss > SLACK:
                 if worst == np.inf:

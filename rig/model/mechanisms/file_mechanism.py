@@ -16,7 +16,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import FileMechanism
-from rig.model.user_kinematics_file import KinematicsFile, axis_change_columns_by_freedom, parameter_columns
+from rig.model.user_kinematics_file import (
+    KinematicsFile,
+    axis_change_columns_by_freedom,
+    axis_change_columns_by_parameter,
+)
 from rig.model.user_kinematics_file_checks import kinematics_of_source, poses_with_locked_coordinates_at_home
 
 AXIS, UNIT = "axis", "m"
@@ -229,11 +233,11 @@ def with_random_parameters(mechanism: FileMechanism, rng: np.random.Generator, s
     return replace(mechanism, parameters=mechanism.parameters + size * tolerances * rng.normal(size=len(tolerances)))
 
 
-def loop_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
+def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
     """Derivative (..., axes, k) of minus the axis values by the scaled parameters, at poses (...)."""
     poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     free = fitted_parameter_indices(mechanism)
-    out = -parameter_columns(mechanism.stated, poses, mechanism.parameters, free)
+    out = -axis_change_columns_by_parameter(mechanism.stated, poses, mechanism.parameters, free)
     out *= mechanism.stated.tolerances[free] / SCALE
     return out.reshape(*T_base_platform.shape, *out.shape[1:])
 

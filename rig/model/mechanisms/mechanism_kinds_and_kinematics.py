@@ -72,7 +72,7 @@ def require_hexapod(
 
     Raises RigError for another kind, and for more struts.
     """
-    platform = require_platform(mechanism, refusal)
+    platform = require_hexapod_or_redundant_hexapod(mechanism, refusal)
     if len(platform.axes) > 6:
         raise RigError(
             f"this is for six struts, and this platform has {len(platform.axes)}: docs/more-struts.md lists what "
@@ -81,7 +81,7 @@ def require_hexapod(
     return platform
 
 
-def require_platform(
+def require_hexapod_or_redundant_hexapod(
     mechanism: Mechanism, refusal: str = "this requires a hexapod, not a mechanism of kind {kind!r}"
 ) -> Hexapod:
     """Require that a mechanism is a hexapod on six struts or more, and return it.
@@ -387,7 +387,7 @@ def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: 
     Change of zero - length with the parameters, at poses (...).
     """
     if isinstance(mechanism, FileMechanism):
-        return file_mechanism.loop_jacobian(T_base_platform, mechanism)
+        return file_mechanism.loop_closure_parameter_jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Planar2):
         return two_strut_plane.two_strut_loop_jacobian(T_base_platform, mechanism)
     matrix = T_base_platform.as_matrix()

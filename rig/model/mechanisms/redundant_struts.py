@@ -62,7 +62,7 @@ def actuated_struts(hexapod: Hexapod) -> Integers:
     return np.setdiff1d(np.arange(len(hexapod.axes)), hexapod.followers)
 
 
-def agreeing_lengths(lengths: Floats, hexapod: Hexapod, fill: float = 1.0) -> Floats:
+def nearest_compatible_strut_lengths(lengths: Floats, hexapod: Hexapod, fill: float = 1.0) -> Floats:
     """Lengths (n, struts) m near given ones that close on one pose, within the middle `fill` of the strut range.
 
     Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those

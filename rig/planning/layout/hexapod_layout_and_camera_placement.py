@@ -48,7 +48,7 @@ def require_possible_layout(radius: float, cameras: int, cubes: int, dictionary:
         )
 
 
-def camera_ring_lines(centre: Floats, reach: float, count: int, width: int, height: int) -> list[str]:
+def camera_ring_toml_lines(centre: Floats, reach: float, count: int, width: int, height: int) -> list[str]:
     """rig.toml lines of a ring of cameras evenly around a centre (3,) m, with a field of view of `reach` m.
 
     width, height : px
@@ -60,7 +60,7 @@ def camera_ring_lines(centre: Floats, reach: float, count: int, width: int, heig
         eye = centre + distance * np.array(
             [np.cos(ELEVATION) * np.cos(around), np.cos(ELEVATION) * np.sin(around), np.sin(ELEVATION)]
         )
-        lines += single_camera_lines(
+        lines += single_camera_toml_lines(
             f"cam{i}", camera_pose(eye, (centre - eye) / distance), np.arcsin(FILLED / DISTANCE_SHARE), (width, height)
         )
     return lines
@@ -75,7 +75,7 @@ def camera_pose(position: Floats, view_direction: Floats) -> RigidTransform:
     )
 
 
-def single_camera_lines(
+def single_camera_toml_lines(
     name: str, pose: RigidTransform, half_angle: float, size: tuple[int, int], mount: str = "fixed"
 ) -> list[str]:
     """rig.toml lines of a single camera with a half angle of view (rad).
@@ -100,7 +100,7 @@ def single_camera_lines(
     ]
 
 
-def cube_lines(
+def cube_toml_lines(
     name: str,
     body: str,
     dictionary: str,
@@ -127,7 +127,7 @@ def cube_lines(
     ]
 
 
-def cube_ring_lines(cubes: int, dictionary: str, platform_ring: CubeRing, base_ring: CubeRing) -> list[str]:
+def cube_ring_toml_lines(cubes: int, dictionary: str, platform_ring: CubeRing, base_ring: CubeRing) -> list[str]:
     """rig.toml lines of rings of cubes on the platform and on the base, each face with its own marker id."""
     lines = []
     for k, (body, ring) in enumerate((("platform", platform_ring), ("base", base_ring))):
@@ -135,7 +135,9 @@ def cube_ring_lines(cubes: int, dictionary: str, platform_ring: CubeRing, base_r
             angle = ring.turn + 2 * np.pi * i / cubes
             place = ring.centre + ring.radius * np.array([np.cos(angle), np.sin(angle), 0.0])
             first = (k * cubes + i) * len(FACES)
-            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, first, ring.edge, place, (0, 0, angle))
+            lines += cube_toml_lines(
+                f"{body[0].upper()}{i + 1}", body, dictionary, first, ring.edge, place, (0, 0, angle)
+            )
     return lines
 
 
@@ -220,9 +222,9 @@ def hexapod_layout_rig_toml(
             "frame",
             f"length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m{limbs})",
         ]
-    lines += camera_ring_lines(np.array([0, 0, 0.45 * home[2]]), radius, cameras, width, height)
+    lines += camera_ring_toml_lines(np.array([0, 0, 0.45 * home[2]]), radius, cameras, width, height)
     edge_platform, edge_base = 0.62 * radius / np.sqrt(cubes), 0.7 * radius / np.sqrt(cubes)
-    lines += cube_ring_lines(
+    lines += cube_ring_toml_lines(
         cubes,
         dictionary,
         CubeRing(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
@@ -293,9 +295,9 @@ def two_strut_layout_rig_toml(
         "[platform]",
         f"mass = {200 * radius**3:.4g}   # kg",
     ]
-    lines += camera_ring_lines(middle + [0, 0, 0.2 * radius], SEEN * radius, cameras, width, height)
+    lines += camera_ring_toml_lines(middle + [0, 0, 0.2 * radius], SEEN * radius, cameras, width, height)
     edge_platform, edge_base = (share * radius / np.sqrt(max(cubes, 2) / 2) for share in (0.3, 0.28))
-    lines += cube_ring_lines(
+    lines += cube_ring_toml_lines(
         cubes,
         dictionary,
         CubeRing(

@@ -28,12 +28,12 @@ from rig.planning.layout.hexapod_layout_and_camera_placement import (
     FACES,
     CubeRing,
     camera_pose,
-    camera_ring_lines,
-    cube_lines,
-    cube_ring_lines,
+    camera_ring_toml_lines,
+    cube_ring_toml_lines,
+    cube_toml_lines,
     hexapod_layout_rig_toml,
     require_possible_layout,
-    single_camera_lines,
+    single_camera_toml_lines,
     two_strut_layout_rig_toml,
 )
 
@@ -154,7 +154,7 @@ def _cubes_in_hand(
 ) -> list[str]:
     edge_platform, edge_base = (share * reach * (2 / np.sqrt(max(cubes, 4))) for share in (0.24, 0.3))
     low = middle - [0, 0, 0.8 * reach - edge_base / 2]
-    return camera_ring_lines(middle, reach, cameras, *size) + cube_ring_lines(
+    return camera_ring_toml_lines(middle, reach, cameras, *size) + cube_ring_toml_lines(
         cubes,
         dictionary,
         CubeRing(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35),
@@ -172,7 +172,7 @@ def _cameras_in_hand(
         at = RigidTransform.from_translation(
             apart * np.array([np.cos(angle), np.sin(angle), 0]) if cameras > 1 else [0.0, 0, 0]
         )
-        lines += single_camera_lines(f"cam{i}", at, WIDE, size, "hand")
+        lines += single_camera_toml_lines(f"cam{i}", at, WIDE, size, "hand")
     ahead = T.rotation.apply([0, 0, 1.0])
     far = 1.6 * reach
     field = camera_pose(T.translation + far * ahead, ahead).rotation
@@ -183,7 +183,7 @@ def _cameras_in_hand(
         depth = 0.12 * far * ((i * 2) % 3 - 1)
         place = T.translation + (far + depth) * ahead + 0.42 * far * field.apply([across, up, 0.0])
         turn = (facing * Rotation.from_rotvec([0, 0, 0.4 * i])).as_rotvec()
-        lines += cube_lines(f"B{i + 1}", "base", dictionary, len(FACES) * i, 0.17 * far, place, turn)
+        lines += cube_toml_lines(f"B{i + 1}", "base", dictionary, len(FACES) * i, 0.17 * far, place, turn)
     return lines
 
 

@@ -165,7 +165,7 @@ def captioned_html(figures: str, caption: str) -> str:
     return f'<figure class="plots">{figures}<figcaption>{inline_html(caption)}</figcaption></figure>'
 
 
-def split_clauses(text: str) -> list[str]:
+def split_text_at_semicolons(text: str) -> list[str]:
     """Clauses of a sentence at its semicolons, those within brackets excepted."""
     return re.split(r"; (?![^()]*\))", text)
 

@@ -24,7 +24,7 @@ from rig.report.pages.html_and_svg_elements import (
     heading_html,
     inline_html,
     list_html,
-    split_clauses,
+    split_text_at_semicolons,
     svg_text,
     wrap_text,
 )
@@ -72,7 +72,7 @@ def page_html(page: Page) -> str:
         read_page_asset("document.js"),
     )
     described = html.escape(f"{state}: {why}")
-    first, *doubts = split_clauses(why)
+    first, *doubts = split_text_at_semicolons(why)
     more = f'<div class="doubts">{list_html(map(capitalise, doubts))}</div>' if doubts else ""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
@@ -198,7 +198,7 @@ def write_index_page(path: Path, folder: Path) -> None:
     items = "".join(
         f'<li><span class="badge {found.state}">{found.state}</span> <a '
         f'href="{_relative_link(found.path, folder)}">{html.escape(found.title)}</a>'
-        f'<br><span class="note">{inline_html(capitalise(split_clauses(found.why)[0]))}</span></li>'
+        f'<br><span class="note">{inline_html(capitalise(split_text_at_semicolons(found.why)[0]))}</span></li>'
         for found in known
     )
     parts = [heading_html("Pages"), f'<ul class="pages">{items}</ul>'] if known else []

@@ -26,7 +26,7 @@ from calib.correction.physics_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
@@ -270,7 +270,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         held.secret.true,
         tuple(map(parse_effect, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6"))),
     )
-    count = len(coordinates_of_effects(effects))
+    count = len(fit_coordinates_of_effects(effects))
     physics = Physics(
         effects,
         np.zeros((count, count)),

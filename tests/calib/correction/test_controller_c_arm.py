@@ -16,7 +16,7 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 from calib.correction.physics_compensation import Physics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
@@ -70,7 +70,7 @@ def truly(nominal, seed=3, profiled=True):
 def calibration_of(correction, *texts):
     """Calibration of it, and of effects at its joints."""
     effects = tuple(parse_effect(text) for text in texts)
-    n, p = len(coordinates_of_effects(effects)), 12 + 5 * len(correction.nominal.joints)
+    n, p = len(fit_coordinates_of_effects(effects)), 12 + 5 * len(correction.nominal.joints)
     design = secret_arms.design(correction.nominal)
     known = (design.gravity, design.actuator, design.platform, {})
     physics = Physics(effects, 1e-12 * np.eye(n), np.zeros((p, n)), *known) if texts else None

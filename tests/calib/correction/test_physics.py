@@ -31,7 +31,7 @@ from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml
@@ -64,7 +64,7 @@ def seen(tmp_path_factory):
 
 def physics_of(design, *effects, sigma=0.02):
     """Physics of effects whose coordinates are known to a share of themselves."""
-    own = np.diag([(sigma * c.read(effects[c.effect])) ** 2 + 1e-24 for c in coordinates_of_effects(effects)])
+    own = np.diag([(sigma * c.read(effects[c.effect])) ** 2 + 1e-24 for c in fit_coordinates_of_effects(effects)])
     return Physics(
         tuple(effects), own, np.zeros((42, len(own))), design.gravity, design.actuator, design.platform, CHANNELS
     )

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import oper
 from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import tolerance_sigmas_from_residuals
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
-    refine_at_fixed_repeated_error,
+    refine_at_fixed_repeated_corner_error,
     refine_operating_point,
 )
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives im
 )
 from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model.hands_effect_places_and_tolerances import SIDES
 from synthetic import blind_cases
@@ -70,7 +70,9 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     assert off[0, together] == 0  # which is what the scale is the size of
     heaviest = max(singles, key=lambda place: abs(off[0, singles[place]]))
     by = {
-        sign: refine_at_fixed_repeated_error(larger(refined.point, heaviest, sign * FAR), sensitivities).values[0]
+        sign: refine_at_fixed_repeated_corner_error(larger(refined.point, heaviest, sign * FAR), sensitivities).values[
+            0
+        ]
         for sign in (1, -1)
     }
     assert (by[1] - by[-1]) / (2 * FAR) == pytest.approx(off[0, singles[heaviest]] / sigma[singles[heaviest]], rel=0.1)
@@ -103,7 +105,7 @@ def test_markers_that_are_as_stated_leave_intervals_as_they_are(tmp_path, design
 )
 def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open(sigma, ends, left_open, interval):
     effect = parse_effect("warm_up:strut2:amplitude=1e-4,time_constant=1800")
-    coordinates = coordinates_of_effects((effect,))
+    coordinates = fit_coordinates_of_effects((effect,))
     values = np.array([c.read(effect) for c in coordinates])
     found = Refinement(None, None, coordinates, values, np.diag([1e-6, sigma]) ** 2, None).intervals(0)
     value, low, high = found["time_constant"]

@@ -11,7 +11,7 @@ from calib.diagnosis.problems.platform.vibration_frequency import (
     COMB,
     _bins,
     _mirrors_of_slow_changes,
-    power_at_sparse_times,
+    power_spectrum_at_sparse_times,
 )
 from tests.truth import draw, record
 from tests.truth.case import Case
@@ -48,7 +48,7 @@ def test_many_short_transforms_are_one_long_one(transforms):
     rng, bins = np.random.default_rng(4), transforms * COMB
     at, series = np.sort(rng.integers(0, bins // 4, 90)), rng.normal(size=(3, 90))
     whole = sum(np.abs(np.fft.rfft(np.bincount(at, one, bins))) ** 2 for one in series)
-    np.testing.assert_allclose(power_at_sparse_times(series, at, bins), whole, atol=1e-4 * np.max(whole))
+    np.testing.assert_allclose(power_spectrum_at_sparse_times(series, at, bins), whole, atol=1e-4 * np.max(whole))
 
 
 def test_a_drift_at_even_times_is_mirrored_about_their_rate():

@@ -16,7 +16,7 @@ from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.machine_models import corrected_pose_covariance
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin
@@ -61,7 +61,7 @@ def calibrated(design, *effects):
         else len(geometric_parameters(m))
     )
     if effects:
-        n = len(coordinates_of_effects(effects))
+        n = len(fit_coordinates_of_effects(effects))
         known = Physics(
             effects,
             1e-12 * np.eye(n),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.driving.controller_status_and_limits import limits_of_linuxcnc_ini, require_goals_within_limits
-from rig.driving.emulators.fault_trials import emulated_bench
+from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.errors import FileError, Unreachable
 from tests.emulated_run import RigInThread
 
@@ -27,7 +27,7 @@ def test_limits_that_are_the_rigs_own_are_not_warned_of(ready):
 
 
 def test_a_slower_grblhal_with_a_shorter_travel_is_told_with_both_figures(driven_design):
-    driver, emulator, _ = emulated_bench(driven_design, "grblhal", (), 1)
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1)
     whole = np.ptp(driver.mechanism.strut_range[2]) * 1e3
     emulator.settings |= {112: 300.0, 123: 40.0, 132: 30.0}
     driver.open()
@@ -42,7 +42,7 @@ def test_a_slower_grblhal_with_a_shorter_travel_is_told_with_both_figures(driven
 
 
 def test_a_gcs_with_a_shorter_travel_is_told_with_both_ends(driven_design):
-    driver, emulator, _ = emulated_bench(driven_design, "gcs", (), 1)
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, "gcs", (), 1)
     emulator.limits = emulator.limits.copy()
     emulator.limits[4, 1] -= 2e-3
     driver.open()
@@ -57,7 +57,7 @@ def test_a_gcs_with_a_shorter_travel_is_told_with_both_ends(driven_design):
 
 
 def test_a_gcs_that_does_not_know_the_question_is_driven_all_the_same(driven_design, monkeypatch):
-    driver, emulator, _ = emulated_bench(driven_design, "gcs", (), 1)
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, "gcs", (), 1)
     ask = emulator._ask
     monkeypatch.setattr(
         emulator, "_ask", lambda word, rest: setattr(emulator, "error", 2) if word[:2] == "TM" else ask(word, rest)
@@ -73,7 +73,7 @@ def test_linuxcnc_limits_come_from_its_ini(driven_design, tmp_path):
     np.testing.assert_allclose(found.travel[0], [-0.02, 0.02])
     assert found.speed[0] == 5e-3 and found.acceleration[0] == 50e-3 and np.isnan(found.travel[1:]).all()
     design = replace(driven_design, controller=replace(driven_design.controller, ini=str(path)))
-    driver, _, _ = emulated_bench(design, "linuxcnc", (), 1)
+    driver, _, _ = emulated_driver_with_emulator_and_clock(design, "linuxcnc", (), 1)
     travel, speed, acceleration = driver.limit_warnings()
     assert "its ini" in travel and "5 mm/s" in speed and "max_speed is 10 mm/s" in speed and "50 mm/s^2" in acceleration
     path.write_text(INI.replace("-20", "left"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, home_lengths
-from rig.driving.emulators.fault_trials import emulated_bench
+from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Stopped
 from tests.rig.driver_steps import STEP, order, truly
@@ -18,7 +18,7 @@ SLOW = np.full(6, 2e-4)  # m/s; homing takes ten seconds
 
 
 def test_a_homing_that_fails_stops_the_axes_that_home_on(driven_design, protocol):
-    driver, emulator, clock = emulated_bench(driven_design, protocol, ("homes-on",), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, ("homes-on",), 1)
     driver.open()
     with pytest.raises(ControllerFault, match="homing failed"):
         driver.home()
@@ -31,7 +31,7 @@ def test_a_homing_that_fails_stops_the_axes_that_home_on(driven_design, protocol
 
 
 def test_an_interrupt_stops_a_rig_that_homes(driven_design, protocol, monkeypatch):
-    driver, emulator, clock = emulated_bench(driven_design, protocol, (), 1, max_speed=SLOW)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, (), 1, max_speed=SLOW)
     driver.open()
     sleep = clock.sleep
 
@@ -48,7 +48,7 @@ def test_an_interrupt_stops_a_rig_that_homes(driven_design, protocol, monkeypatc
 
 
 def test_a_rig_that_homes_for_another_process_is_stopped(driven_design, protocol):
-    driver, emulator, clock = emulated_bench(driven_design, protocol, (), 1, max_speed=SLOW)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, (), 1, max_speed=SLOW)
     emulator.machine.start_homing(clock.now())
     clock.sleep(0.01)
     assert driver.open(stopping=True).activity != "homing"
@@ -70,7 +70,9 @@ def test_a_rig_that_moves_for_another_process_is_stopped_and_keeps_its_position(
 
 
 def test_homing_that_takes_too_long_is_stopped(driven_design, protocol):
-    driver, emulator, clock = emulated_bench(driven_design, protocol, (), 1, max_speed=SLOW, home_timeout=0.5)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(
+        driven_design, protocol, (), 1, max_speed=SLOW, home_timeout=0.5
+    )
     driver.open()
     with pytest.raises(ControllerFault, match="0.5 s"):
         driver.home()
@@ -155,7 +157,7 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
 
     from rig.driving.ports_and_numbered_frames import find_usb_port
 
-    driver, emulator, clock = emulated_bench(driven_design, "struts", (), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "struts", (), 1)
     opened, here = (
         [],
         lambda name: [

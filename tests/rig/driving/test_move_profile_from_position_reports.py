@@ -5,7 +5,7 @@ import pytest
 
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.emulators.emulated_axes_and_faults import MovingAxes
-from rig.driving.move_profiles_and_path_check import profile_of_reports
+from rig.driving.move_profiles_and_path_check import move_profile_fitted_to_reports
 
 SPEED = 0.02  # m/s
 PROFILE = np.array([1, 0.5, -0.3, 0.2, 0.9, -1])
@@ -25,7 +25,7 @@ def reported(axes, until, lengths_at):
 def test_the_way_is_the_true_one_to_a_few_micrometres(far, acceleration):
     axes = MovingAxes(0.0, np.zeros(6), np.full(6, SPEED), np.full(6, acceleration))
     end = axes.go(10.0, far * PROFILE)
-    found = profile_of_reports(np.zeros(6), far * PROFILE, reported(axes, end, axes.lengths_at), SPEED)
+    found = move_profile_fitted_to_reports(np.zeros(6), far * PROFILE, reported(axes, end, axes.lengths_at), SPEED)
     t, share = np.array(found.travel).T
     times = np.linspace(10.0, end, 300)
     off = np.interp(times, t, share) * far - axes.lengths_at(times)[:, 0]
@@ -40,7 +40,7 @@ def test_what_follows_no_trapezoid_has_no_profile():
     def held(t):  # a hold of half a second on the way
         return axes.lengths_at(min(t, 11.2) if t < 11.7 else t - 0.5)
 
-    found = profile_of_reports(np.zeros(6), 0.05 * PROFILE, reported(axes, end + 0.5, held), SPEED)
+    found = move_profile_fitted_to_reports(np.zeros(6), 0.05 * PROFILE, reported(axes, end + 0.5, held), SPEED)
     assert found.travel == () and found.rms > 1e-4
-    assert profile_of_reports(np.zeros(6), 0.05 * PROFILE, [], SPEED).rms is None
-    assert profile_of_reports(np.zeros(6), np.zeros(6), [], SPEED).travel == ()
+    assert move_profile_fitted_to_reports(np.zeros(6), 0.05 * PROFILE, [], SPEED).rms is None
+    assert move_profile_fitted_to_reports(np.zeros(6), np.zeros(6), [], SPEED).travel == ()

@@ -10,7 +10,7 @@ import pytest
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
-from rig.driving.emulators.fault_trials import emulated_bench, move_counts_with_faults
+from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock, move_counts_with_faults
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
 from tests.rig.driver_steps import STEP, order, truly
@@ -115,7 +115,7 @@ def test_a_zero_that_wanders_is_noticed_before_the_next_move(ready):
 
 @pytest.mark.parametrize("size", [64, 128])
 def test_a_small_receive_buffer_makes_no_other_move(driven_design, protocol, size):
-    driver, emulator, clock = emulated_bench(driven_design, protocol, (f"buffer-{size}",), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, (f"buffer-{size}",), 1)
     home = home_lengths(driven_design.mechanism)
     target = home + 8.123456e-3 * STEP / 1e-3
     driver.open()
@@ -129,7 +129,7 @@ def test_a_small_receive_buffer_makes_no_other_move(driven_design, protocol, siz
 
 
 def test_a_stale_piece_before_an_alarm_after_a_reset_does_not_hide_it(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "grblhal", (), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1)
     driver.open()
     driver.home()
     order(emulator, "stale-alarm", "stall")
@@ -158,7 +158,7 @@ def test_nothing_is_sent_for_what_may_not_be_done(ready):
 
 
 def test_a_rig_that_was_not_homed_is_not_moved(driven_design, protocol):
-    driver, emulator, clock = emulated_bench(driven_design, protocol, (), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, (), 1)
     assert not driver.open().known
     with pytest.raises(MotionError):
         driver.move(home_lengths(driven_design.mechanism))
@@ -166,7 +166,7 @@ def test_a_rig_that_was_not_homed_is_not_moved(driven_design, protocol):
 
 
 def test_a_rig_without_homing_is_believed_within_its_range(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "grblhal", (), 1, homing=False)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1, homing=False)
     assert driver.open().known
     with pytest.raises(ControllerFault, match="homing = false"):
         driver.home()
@@ -176,7 +176,7 @@ def test_a_rig_without_homing_is_believed_within_its_range(driven_design):
 
 
 def test_a_position_in_alarm_is_not_believed_though_nothing_can_home(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "grblhal", (), 1, homing=False)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1, homing=False)
     emulator.alarm = 3
     assert not driver.open().known
     with pytest.raises(
@@ -190,7 +190,9 @@ def test_a_position_in_alarm_is_not_believed_though_nothing_can_home(driven_desi
 
 
 def test_poses_for_a_controller_with_its_own_kinematics(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "linuxcnc", (), 1, kinematics="world")
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(
+        driven_design, "linuxcnc", (), 1, kinematics="world"
+    )
     driver.open()
     driver.home()
     home = home_lengths(driven_design.mechanism)
@@ -244,7 +246,7 @@ def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol
 
 def booted_locked(driven_design):
     """(driver, emulator, clock) of a grblHAL that starts in alarm until it is homed ($22=5)."""
-    driver, emulator, clock = emulated_bench(driven_design, "grblhal", (), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1)
     emulator.settings[22] = 5
     emulator.power_cycle()
     return driver, emulator, clock
@@ -265,7 +267,7 @@ def test_a_controller_that_starts_locked_moves_once_it_is_homed(driven_design):
 
 
 def test_a_controller_unlocked_after_it_started_in_alarm_moves_once_it_is_trusted(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "grblhal", (), 1, homing=False)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1, homing=False)
     emulator.alarm = 3
     driver.open()
     driver.unlock()
@@ -275,7 +277,7 @@ def test_a_controller_unlocked_after_it_started_in_alarm_moves_once_it_is_truste
 
 
 def test_a_start_since_the_last_contact_is_seen_until_the_position_is_confirmed(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "grblhal", (), 1, homing=False)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "grblhal", (), 1, homing=False)
     for _ in range(2):  # the first session's greeting does not hide it from the second
         driver.open()
         assert driver.started_anew

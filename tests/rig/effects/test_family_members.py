@@ -9,7 +9,7 @@ from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import COUNT, Candidate
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
-    coordinates_of_effects,
+    fit_coordinates_of_effects,
 )
 from rig.effects.framework.parameters_covariates_and_markers import Linear
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -90,8 +90,8 @@ def test_shares_of_another_sum_are_refused(effect):
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
 def test_only_another_member_has_its_shares_fitted(effect):
     standard = type(effect)(effect.place)
-    assert "shares" not in {c.name for c in coordinates_of_effects((standard,))}
-    fitted = [c.index for c in coordinates_of_effects((effect,)) if c.name == "shares"]
+    assert "shares" not in {c.name for c in fit_coordinates_of_effects((standard,))}
+    fitted = [c.index for c in fit_coordinates_of_effects((effect,)) if c.name == "shares"]
     assert fitted == list(range(len(effect.shares)))
 
 

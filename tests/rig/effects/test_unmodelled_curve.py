@@ -10,7 +10,7 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
-    coordinates_of_effects,
+    fit_coordinates_of_effects,
 )
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import (
     HISTORY,
@@ -52,8 +52,8 @@ def test_a_curve_is_the_sum_of_its_columns_at_its_place_alone(design, motion, ki
         assert np.allclose(moved, 2e-5 * candidate.deviation(candidate.grid[0], motion) @ sizes, atol=1e-18)
         assert moved[:, 2].any() and not np.delete(moved, 2, axis=1).any()
         assert not curve.uncovered(motion).any()
-        assert len(coordinates_of_effects((curve,))) == len(sizes)
-        assert {c.loose for c in coordinates_of_effects((curve,))} == {1.0}
+        assert len(fit_coordinates_of_effects((curve,))) == len(sizes)
+        assert {c.loose for c in fit_coordinates_of_effects((curve,))} == {1.0}
         assert effect_from_dict(effect_to_dict(curve), KINDS) == curve == pickle.loads(pickle.dumps(curve))
 
 

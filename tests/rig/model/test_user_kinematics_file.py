@@ -9,7 +9,11 @@ from scipy.spatial.transform import RigidTransform
 import rig
 from rig.errors import FileError, NotConverged, Unreachable
 from rig.model.mechanisms import kinematics_of
-from rig.model.mechanisms.file_mechanism import loop_jacobian, nominal_mechanism, with_scaled_parameters
+from rig.model.mechanisms.file_mechanism import (
+    loop_closure_parameter_jacobian,
+    nominal_mechanism,
+    with_scaled_parameters,
+)
 from rig.model.pose import exp, pose, pose_difference
 from tests.conftest import ROOT
 from tests.numerical_derivatives import jacobian
@@ -68,7 +72,7 @@ def test_derivatives_agree_with_differences(name, by_complex):
     by_parameter = jacobian(
         lambda p: kinematics.inverse(T, with_scaled_parameters(m, p)), np.zeros(len(m.stated.tolerances.nonzero()[0]))
     )
-    assert np.abs(loop_jacobian(T, m) + by_parameter).max() < 1e-6
+    assert np.abs(loop_closure_parameter_jacobian(T, m) + by_parameter).max() < 1e-6
 
 
 def test_a_function_of_one_pose_is_called_pose_by_pose():

@@ -235,7 +235,7 @@ def test_motions_end_in_the_posture():
     )
     assert (rows[0] == q).all() and (rows[-1] == goal).all() and np.abs(np.diff(rows, axis=0)).max() < 0.03
     before = np.clip(q + 0.15 * rng.normal(size=7), *PANDA.limits.T)
-    motion = arm_motion_between_postures.motion_with_straight_hand(before, goal, PANDA)
+    motion = arm_motion_between_postures.motion_with_hand_on_straight_line(before, goal, PANDA)
     hand = mechanism.forward(motion, PANDA).translation
     a, b = hand[0], hand[-1]
     line = (b - a) / np.linalg.norm(b - a)

@@ -91,21 +91,27 @@ def test_share_is_the_bivariate_normals():
     h, k = rng.uniform(-3, 3, (2, 20))
     for rho in (-0.7, 0.0, 0.4):
         normal = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-        value, dh, dk, dr = board_corners_in_photograph.crossing_white_share(h, k, rho)
+        value, dh, dk, dr = board_corners_in_photograph.edge_crossing_white_share(h, k, rho)
         expected = [normal.cdf([a, b]) + normal.cdf([-a, -b]) for a, b in zip(h, k)]
         np.testing.assert_allclose(value, expected, atol=1e-6)
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: board_corners_in_photograph.crossing_white_share(x, k, r)[0], h)),
+            np.diagonal(
+                jacobian(lambda x, r=rho: board_corners_in_photograph.edge_crossing_white_share(x, k, r)[0], h)
+            ),
             dh,
             atol=1e-6,
         )
         np.testing.assert_allclose(
-            np.diagonal(jacobian(lambda x, r=rho: board_corners_in_photograph.crossing_white_share(h, x, r)[0], k)),
+            np.diagonal(
+                jacobian(lambda x, r=rho: board_corners_in_photograph.edge_crossing_white_share(h, x, r)[0], k)
+            ),
             dk,
             atol=1e-6,
         )
         np.testing.assert_allclose(
-            jacobian(lambda r: board_corners_in_photograph.crossing_white_share(h, k, r[0])[0], np.array([rho]))[:, 0],
+            jacobian(lambda r: board_corners_in_photograph.edge_crossing_white_share(h, k, r[0])[0], np.array([rho]))[
+                :, 0
+            ],
             dr,
             atol=1e-6,
         )

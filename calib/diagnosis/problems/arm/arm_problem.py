@@ -222,15 +222,15 @@ class ArmProblem:
         return left.place == place
 
 
-def nested_held_out_poses(
-    problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None
+def held_out_poses_by_nested_selection(
+    problem: ArmProblem, time_stretch_counts: tuple[int, ...], progress: Progress | None = None
 ) -> list[HeldOutPoses]:
-    """Held-out poses (HeldOutPoses) by nested selection, over each number of time stretches in counts.
+    """Held-out poses (HeldOutPoses) by nested selection, over each of the numbers of time stretches.
 
     Effects are chosen, and all is fitted, on two thirds of the stretches at a time.
     """
     arms, retained = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
-    parts = [time_stretch_folds(len(arms), count) % PARTS for count in counts]
+    parts = [time_stretch_folds(len(arms), count) % PARTS for count in time_stretch_counts]
 
     def predicted(one: tuple[int, int]) -> tuple[Floats, Floats, tuple[str, ...]]:
         part = parts[one[0]] == one[1]
@@ -245,7 +245,7 @@ def nested_held_out_poses(
             tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms),
         )
 
-    things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]
+    things = [(i, k) for i in range(len(time_stretch_counts)) for k in range(PARTS)]
     found = dict(
         zip(
             things,
@@ -255,7 +255,7 @@ def nested_held_out_poses(
         )
     )
     out = []
-    for i, (count, part) in enumerate(zip(counts, parts)):
+    for i, (count, part) in enumerate(zip(time_stretch_counts, parts)):
         before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))
         for k in range(PARTS):
             before[part == k], after[part == k], _ = found[i, k]

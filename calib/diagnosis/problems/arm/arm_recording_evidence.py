@@ -24,12 +24,17 @@ from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.arm.arm_problem import COARSE_PARTS, FINE_PARTS, ArmProblem, nested_held_out_poses
+from calib.diagnosis.problems.arm.arm_problem import (
+    COARSE_PARTS,
+    FINE_PARTS,
+    ArmProblem,
+    held_out_poses_by_nested_selection,
+)
 from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
     JointCandidate,
     findings_of_effects_fitted_before_search,
-    fit_of_measured_effects,
+    fit_of_effects_shown_by_instruments,
     joint_candidates,
 )
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
@@ -212,7 +217,7 @@ class ArmEvidence:
         return replace(self, linear=linear, noise_times=times)
 
     def held_out_poses(self, selection: ArmSelection, progress: Progress | None) -> list[HeldOutPoses]:
-        return nested_held_out_poses(_problem(selection), self.stretches, progress)
+        return held_out_poses_by_nested_selection(_problem(selection), self.stretches, progress)
 
     def repeats(self, selection: ArmSelection) -> Repeats | None:
         return pose_repeatability(selection.fit)
@@ -312,7 +317,7 @@ def arm_evidence(
         )
     known = sample_recording(recording, progress=progress, several_hands=True) if sampled is None else sampled
     fresh = known.samples.known is None and known.samples.tilts is not None
-    instrument_fit = fit_of_measured_effects(recording, known) if fresh else None
+    instrument_fit = fit_of_effects_shown_by_instruments(recording, known) if fresh else None
     if instrument_fit is not None:
         known = replace(known, samples=instrument_fit.samples)
     sensors, log_errors = smooth_temperatures(recording.sensors)

@@ -34,7 +34,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import lean_under_link_weight
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.framework.parameters_covariates_and_markers import COUNT, QUADRATURE
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
@@ -297,7 +297,7 @@ def effects_shown_by_instruments(recording: Recording, sampled: Sampled) -> tupl
     return (*flexure, *([] if lean is None else [lean]))
 
 
-def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit | None:
+def fit_of_effects_shown_by_instruments(recording: Recording, sampled: Sampled) -> JointFit | None:
     """JointFit of an arm's `effects_shown_by_instruments` with its geometry alone.
 
     All else is searched for beside it; None where there are none.
@@ -313,7 +313,11 @@ def fit_of_measured_effects(recording: Recording, sampled: Sampled) -> JointFit 
 
 def findings_of_effects_fitted_before_search(fit: JointFit) -> tuple[MeasuredFinding, ...]:
     """Findings of effects that were fitted before the search, with 95 % intervals; of a lean its RMS first."""
-    out, coordinates, sigma = list[MeasuredFinding](), coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
+    out, coordinates, sigma = (
+        list[MeasuredFinding](),
+        fit_coordinates_of_effects(fit.effects),
+        np.sqrt(np.diag(fit.own)),
+    )
     for number, effect in enumerate(fit.effects):
         parameters = dict[str, Value]()
         before, after = fit.measured.tilts, fit.samples.tilts

@@ -234,12 +234,12 @@ def _explains(covariate: Covariate, count: int) -> bool:
     return any(s.p_value * count < ALPHA and s.share > SHARE for s in covariate.after.values())
 
 
-def ranked_covariates(before: Fit, after: Fit, cluster: int) -> list[Covariate]:
+def ranked_covariates(before: Fit, after: Fit, correlated_poses: int) -> list[Covariate]:
     """Covariates ranked by the share of residuals that they explain, without effects and with them.
 
-    cluster : poses in a row whose errors may be alike
+    correlated_poses : poses in a row whose errors may be alike
     """
-    return rank_covariates(_shares(before, cluster), _shares(after, cluster))
+    return rank_covariates(_shares(before, correlated_poses), _shares(after, correlated_poses))
 
 
 def _shares(fit: Fit, cluster: int) -> dict[str, dict[str, Share]]:

@@ -21,7 +21,7 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_markers import COUNT, QUADRATURE, Context, Linear
 from rig.model.hands_effect_places_and_tolerances import Place
@@ -142,36 +142,36 @@ def lacks_temperature_log(point: OperatingPoint, needed_channels: tuple[tuple[st
     return not all(logged & set(channels) for channels in needed_channels)
 
 
-def platform_candidate(spec: EffectCandidate) -> PlatformCandidate:
-    """PlatformCandidate of what an effect states (spec), with the usual ranges of its parameters."""
-    node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
-    named = {column.name for column in spec.linear} | set(node)
+def platform_candidate(effect_candidate: EffectCandidate) -> PlatformCandidate:
+    """PlatformCandidate of an effect's candidate, with the usual ranges of its parameters."""
+    node, parameters = effect_candidate.grid[0], effect_candidate.kind.parameters_at(effect_candidate.place)
+    named = {column.name for column in effect_candidate.linear} | set(node)
     usual = tuple(
         UsualRange(p.name, *p.usual, p.signed, Role(p.role))
         for p in parameters
         if p.size == 1 and p.name in named and p.role in SIZED
     )
     return PlatformCandidate(
-        name=spec.kind.name,
-        place=spec.place,
-        grid=spec.grid,
-        label=spec.label,
-        extra=spec.extra,
-        tied=spec.tied,
+        name=effect_candidate.kind.name,
+        place=effect_candidate.place,
+        grid=effect_candidate.grid,
+        label=effect_candidate.label,
+        extra=effect_candidate.extra,
+        tied=effect_candidate.tied,
         usual=usual,
         searched=any(p.role in SEARCHED and p.name in node for p in parameters),
-        bounds=coefficient_bounds(spec),
-        vector=any(column.entry is not None for column in spec.linear),
-        free_form=COUNT in node and not affects_images_only(spec.kind),
-        spec=spec,
+        bounds=coefficient_bounds(effect_candidate),
+        vector=any(column.entry is not None for column in effect_candidate.linear),
+        free_form=COUNT in node and not affects_images_only(effect_candidate.kind),
+        spec=effect_candidate,
     )
 
 
-def coefficient_bounds(spec: EffectCandidate) -> tuple[Floats, Floats]:
+def coefficient_bounds(effect_candidate: EffectCandidate) -> tuple[Floats, Floats]:
     """Bounds (low (q,), high (q,)) of the linear coefficients, from the parameters' bounds."""
-    by, ends = {p.name: p for p in spec.kind.parameters_at(spec.place)}, []
-    for column in spec.linear:
-        if any(c.name == QUADRATURE for c in spec.linear):
+    by, ends = {p.name: p for p in effect_candidate.kind.parameters_at(effect_candidate.place)}, []
+    for column in effect_candidate.linear:
+        if any(c.name == QUADRATURE for c in effect_candidate.linear):
             ends.append((-np.inf, np.inf))
         elif by[column.name].role == "inverse":
             low, high = by[column.name].bounds
@@ -335,7 +335,7 @@ def effect_parameter_directions(
     Returns (coordinates, Column)
     """
     k, parts = model.point, []
-    sensitivities, coordinates = sensitivities.at(k), coordinates_of_effects(k.effects)
+    sensitivities, coordinates = sensitivities.at(k), fit_coordinates_of_effects(k.effects)
     motion = cache(lambda: k.motion(k.effects))
     for number, effect in enumerate(k.effects):
         own = [c for c in coordinates if c.effect == number]

@@ -219,12 +219,12 @@ def _following(products: FrameProducts, order: Integers, place: Place, informati
     return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))
 
 
-def excess_scatter(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
+def excess_scatter(model: LinearisedModel, lacks_of_fit: list[LackOfFit]) -> list[LackOfFit]:
     """Excess scatter of struts and corners ([LackOfFit]), at places with no other lack of fit.
-    left : what functions
+    lacks_of_fit : what functions
     explain
     """
-    known = {u.place for u in left}
+    known = {u.place for u in lacks_of_fit}
     found = [*(_strut_scatter(model) if model.point.axes else []), _corners(model)]
     return [
         u

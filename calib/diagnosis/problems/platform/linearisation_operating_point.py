@@ -342,13 +342,18 @@ def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorne
     return SeenCorners(observations, markers, sightings, row)
 
 
-def move_operating_point(point: OperatingPoint, cameras: list[Camera], local: Floats) -> OperatingPoint:
+def move_operating_point(point: OperatingPoint, cameras: list[Camera], local_tangents: Floats) -> OperatingPoint:
     """OperatingPoint moved.
 
     Its cameras replaced, and each frame's poses moved by local tangents.
-    local : (F, 6 + 6 per moving camera)
+    local_tangents : (F, 6 + 6 per moving camera)
     """
-    moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}
+    moving = {
+        i: T * exp(local_tangents[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))
+    }
     return replace(
-        point, design=replace(point.design, cameras=tuple(cameras)), T=point.T * exp(local[:, :6]), moving=moving
+        point,
+        design=replace(point.design, cameras=tuple(cameras)),
+        T=point.T * exp(local_tangents[:, :6]),
+        moving=moving,
     )

@@ -105,17 +105,17 @@ class _Nuisances:
         self.priors += priors
 
 
-def split_rows_by_frame_bases(rows: Floats, local: Floats, edges: Integers) -> tuple[Floats, Floats]:
+def split_rows_by_frame_bases(rows: Floats, frame_bases: Floats, frame_edges: Integers) -> tuple[Floats, Floats]:
     """Rows (2n, k) split by each frame's own basis.
 
     Into coordinates in the basis (F, L, k) and the orthogonal rest (2n, k).
 
     The rows are overwritten.
     """
-    inner = np.empty((len(edges) - 1, local.shape[1], rows.shape[1]))
-    for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
-        inner[f] = local[a:b].T @ rows[a:b]
-        rows[a:b] -= local[a:b] @ inner[f]
+    inner = np.empty((len(frame_edges) - 1, frame_bases.shape[1], rows.shape[1]))
+    for f, (a, b) in enumerate(zip(2 * frame_edges[:-1], 2 * frame_edges[1:])):
+        inner[f] = frame_bases[a:b].T @ rows[a:b]
+        rows[a:b] -= frame_bases[a:b] @ inner[f]
     return inner, rows
 
 

@@ -37,9 +37,9 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     add_term,
     operating_point_without_term,
-    refine_at_fixed_repeated_error,
+    refine_at_fixed_repeated_corner_error,
     refine_operating_point,
-    refinement_as_it_stands,
+    refinement_without_moving,
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 from rig.model.hands_effect_places_and_tolerances import Place
@@ -117,7 +117,7 @@ class PlatformProblem:
         and what it does would no longer be linear."""
         k = fit.refined.point
         if fit.terms[number].seen_alone:
-            return refine_at_fixed_repeated_error(
+            return refine_at_fixed_repeated_corner_error(
                 operating_point_without_term(fit.refined, number), self.sensitivities, fit.refined.model
             ).model
         return linearise(
@@ -190,7 +190,7 @@ class PlatformProblem:
     def exchange_term(self, fit: PlatformFit, number: int, score: PlatformScore) -> PlatformFit:
         model = self.model_without_term(fit, number)
         refined = add_term(
-            refinement_as_it_stands(model, self.sensitivities), score, self.sensitivities.at(model.point)
+            refinement_without_moving(model, self.sensitivities), score, self.sensitivities.at(model.point)
         )
         return PlatformFit(refined, (*fit.terms[:number], *fit.terms[number + 1 :], score.candidate))
 

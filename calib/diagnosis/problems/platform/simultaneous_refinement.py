@@ -227,34 +227,35 @@ def operating_point_without_term(refinement: Refinement, number: int) -> Operati
 
     What is free is moved to compensate.
     """
-    model, effects = refinement.model, refinement.point.effects
+    model = refinement.model
+    others = [e for i, e in enumerate(refinement.point.effects) if i != number]
     if refinement.column is None:
-        return refinement.point.with_effects(e for i, e in enumerate(effects) if i != number)
+        return refinement.point.with_effects(others)
     step = np.array(
         [
             -v if c.effect == number and c.role in SIZED else 0.0
             for c, v in zip(refinement.coordinates, refinement.values)
         ]
     )
-    return _apply(model, step, refinement.column, [e for i, e in enumerate(effects) if i != number])[0]
+    return _apply(model, step, refinement.column, others)[0]
 
 
 def refine_operating_point(
     point: OperatingPoint, sensitivities: Sensitivities, nearby_model: LinearisedModel | None = None
 ) -> Refinement:
-    """Refine an operating point.
-
-    Cameras, geometry, poses and the admitted effects' parameters together.
+    """Refine an operating point: cameras, geometry, poses and the admitted effects' parameters together.
 
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
     loosens them. nearby_model : as `linearise` takes it
     """
-    refined = refine_at_fixed_repeated_error(replace(point, standing=0.0), sensitivities, nearby_model)
+    refined = refine_at_fixed_repeated_corner_error(replace(point, standing=0.0), sensitivities, nearby_model)
     left = repeated_corner_error(refined.point)
-    return refine_at_fixed_repeated_error(replace(refined.point, standing=left), sensitivities) if left else refined
+    if not left:
+        return refined
+    return refine_at_fixed_repeated_corner_error(replace(refined.point, standing=left), sensitivities)
 
 
-def refine_at_fixed_repeated_error(
+def refine_at_fixed_repeated_corner_error(
     point: OperatingPoint, sensitivities: Sensitivities, nearby_model: LinearisedModel | None = None
 ) -> Refinement:
     """Refine an operating point with the repeated error of standing corners fixed.
@@ -283,10 +284,10 @@ def refine_at_fixed_repeated_error(
             break
     if model.corners.clip > CLIP:
         model = linearise(point, CLIP, model)
-    return refinement_as_it_stands(model, sensitivities)
+    return refinement_without_moving(model, sensitivities)
 
 
-def refinement_as_it_stands(model: LinearisedModel, sensitivities: Sensitivities) -> Refinement:
+def refinement_without_moving(model: LinearisedModel, sensitivities: Sensitivities) -> Refinement:
     """Refinement of a model's operating point with nothing moved: its optimum only where it was refined before."""
     point = model.point
     coordinates, column = effect_parameter_directions(model, sensitivities)

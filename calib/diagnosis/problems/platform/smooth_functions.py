@@ -20,7 +20,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.model.design import warp_columns
+from rig.model.design import image_warp_columns
 from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
@@ -105,7 +105,7 @@ def image_warp_pixel_derivatives(point: OperatingPoint, camera: int) -> Floats:
     At predicted pixels: where corners are seen holds their noise.
     """
     rows = point.observed.observations.camera == camera
-    moved = warp_columns(point.design.cameras[camera], point.pixels()[rows], WARP)
+    moved = image_warp_columns(point.design.cameras[camera], point.pixels()[rows], WARP)
     pixels = np.zeros((len(rows), *moved.shape[1:]))
     pixels[rows] = moved
     return pixels

@@ -146,16 +146,16 @@ def _bins(length: float, high: float) -> tuple[int, float]:
     return bins, length * OVERSAMPLED / bins
 
 
-def power_at_sparse_times(series: Floats, at: Integers, bins: int) -> Floats:
-    """(bins // 2 + 1,) sum of squares of the discrete Fourier transforms of series (s, F) at few of `bins` times.
+def power_spectrum_at_sparse_times(series: Floats, at: Integers, bin_count: int) -> Floats:
+    """Power spectrum (bin_count // 2 + 1,) of series (s, F) with values at few of `bin_count` times.
 
-    at : (F,) bin of each value; bins : a multiple of COMB. The frequencies a + A b, A = bins / COMB, of one a are one
+    at : (F,) bin of each; bin_count : a multiple of COMB. The frequencies a + A b, A = bins / COMB, of one a are one
     transform of COMB times of the series turned by a: many short ones stay in the processor's cache. Single precision.
     """
-    apart, order = bins // COMB, np.argsort(at % COMB)
+    apart, order = bin_count // COMB, np.argsort(at % COMB)
     teeth, first = np.unique(at[order] % COMB, return_index=True)
     turns = np.arange(apart // 2 + 1)
-    turned = np.exp(-2j * np.pi / bins * np.outer(turns, at[order])).astype(np.complex64)
+    turned = np.exp(-2j * np.pi / bin_count * np.outer(turns, at[order])).astype(np.complex64)
     square = np.zeros((len(turns), COMB), np.float32)
     for one in series[:, order].astype(np.float32):
         comb = np.zeros(square.shape, np.complex64)
@@ -183,8 +183,12 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
-    window = np.sqrt(power_at_sparse_times(np.ones((1, len(t))), at, bins)) / len(t)
-    return 2 * power_at_sparse_times((beta @ half).T, at, bins), window, np.arange(bins // 2 + 1) / (bins * step)
+    window = np.sqrt(power_spectrum_at_sparse_times(np.ones((1, len(t))), at, bins)) / len(t)
+    return (
+        2 * power_spectrum_at_sparse_times((beta @ half).T, at, bins),
+        window,
+        np.arange(bins // 2 + 1) / (bins * step),
+    )
 
 
 def _mirrors_of_slow_changes(spectrum: Floats, window: Floats, length: float, high: float) -> Booleans:

@@ -21,7 +21,7 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, Prio
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
-from rig.effects.framework.effect_checks_and_fit_coordinates import coordinates_of_effects
+from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
@@ -58,7 +58,7 @@ def arm_named(tmp_path, name):
 
 def known_to_be(design, *effects):
     """Calibration of an arm that is as stated, but for effects."""
-    m, n = design.mechanism, len(coordinates_of_effects(effects))
+    m, n = design.mechanism, len(fit_coordinates_of_effects(effects))
     physics = Physics(
         effects,
         1e-12 * np.eye(n),

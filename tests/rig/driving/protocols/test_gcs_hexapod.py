@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.fault_trials import emulated_bench
+from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.gcs import GCSHexapod
 from rig.driving.protocols.protocol_bases import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
@@ -86,7 +86,7 @@ def test_what_is_no_hexapods_controller_is_refused(design):
 
 
 def test_a_pivot_point_that_another_program_sets_counts_from_then_on(driven_design):
-    driver, emulator, clock = emulated_bench(driven_design, "gcs-hexapod", (), 1)
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "gcs-hexapod", (), 1)
     driver.open()
     home = driver.home().lengths
     target = home + 4e-3 * np.array([1, -1, 0.5, 0.2, -0.6, 1])
@@ -103,7 +103,7 @@ def test_a_pivot_point_that_another_program_sets_counts_from_then_on(driven_desi
 
 def test_a_work_frame_that_is_not_the_controllers_is_found_after_homing(driven_design):
     home = hexapod.home_values(driven_design.mechanism)
-    driver, emulator, _ = emulated_bench(driven_design, "gcs-hexapod", (), 1, home=home)
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, "gcs-hexapod", (), 1, home=home)
     emulator._into_work = pose([0, 0, -0.44], [0, 0, 0]).as_matrix()  # a work frame 10 mm below the platform at home
     driver.open()
     with pytest.raises(PositionLost, match=r"after homing the struts read .* \[controller\] home states"):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.fault_trials import emulated_bench
+from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.protocol_selection_and_user_protocols import protocol_of_controller
 from rig.errors import ControllerFault, FileError, RigError
 from tests.conftest import ROOT
@@ -53,7 +53,7 @@ def test_a_file_that_lacks_something_is_refused_with_its_line(tmp_path, driven_d
 
 @pytest.mark.parametrize("old, new, message", FAILS, ids=[row[2] for row in FAILS])
 def test_a_protocol_that_fails_names_its_file_and_line(tmp_path, driven_design, old, new, message):
-    driver, emulator, _ = emulated_bench(driven_design, written(tmp_path, old, new))
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, written(tmp_path, old, new))
     with pytest.raises(ControllerFault, match=message):
         driver.open()
         driver.home()
@@ -80,18 +80,18 @@ def test_an_entry_point_of_a_package_is_a_protocol(tmp_path, driven_design, monk
         "rig.driving.user_classes_and_sensor_reader.entry_points",
         lambda group: [point] if group == "rig.protocols" else [],
     )
-    driver, emulator, clock = emulated_bench(driven_design, "package:acme")
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "package:acme")
     driver.open()
     driver.home()
     goal = driver.lengths() + 1e-3
     driver.move(goal)
     np.testing.assert_allclose(emulator.machine.axes.at(clock.now()), goal, atol=1e-9)
     with pytest.raises(RigError, match=r"no installed package has 'acmee' among .* rig.protocols; there are acme"):
-        emulated_bench(driven_design, "package:acmee")
+        emulated_driver_with_emulator_and_clock(driven_design, "package:acmee")
 
 
 def test_a_move_is_sent_once_and_a_question_again(tmp_path, driven_design):
-    driver, emulator, _ = emulated_bench(driven_design, written(tmp_path))
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, written(tmp_path))
     driver.open()
     driver.home()
     lines, line = [], emulator.line
