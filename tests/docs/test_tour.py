@@ -25,6 +25,7 @@ def test_the_import_finds_units_and_rotations_as_the_page_says(shared, tmp_path,
     assert len(found.frame) == ROWS and np.abs(away).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_block_and_board_give_what_the_page_says(shared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_inputs(tmp_path, slice(ROWS))

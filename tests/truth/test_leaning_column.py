@@ -95,6 +95,7 @@ def errors_without_and_with_sensors(seed: int, tmp_path) -> tuple[list[float], l
     return found, [least_position_error(column, q, new, POSITION, noise, 0.02) for noise in (0.0, TILT)]
 
 
+@pytest.mark.slow
 def test_tilt_sensors_halve_the_error_of_an_arm_on_a_column(tmp_path):
     (without, with_them), (bound_without, bound) = errors_without_and_with_sensors(1, tmp_path)
     print(f"error {without * 1e3:.3f} mm without, {with_them * 1e3:.3f} mm with; bound {bound * 1e3:.3f} mm")

@@ -96,6 +96,7 @@ def error_when_driven(case: Case, recording: rig.Recording, folder: Path, elevat
     return rms(np.concatenate(out))[0]
 
 
+@pytest.mark.slow
 def test_struts_that_give_are_corrected_at_every_elevation(tmp_path):
     turning, still = tilting(3, 90.0), tilting(3, 0.0)
     elevations = np.linspace(5.0, 85.0, 6)
@@ -146,6 +147,7 @@ class Sagging(Sight):
         return np.concatenate([0.1 * across * 4e-4, bent], axis=1)
 
 
+@pytest.mark.slow
 def test_a_camera_that_sags_is_named(tmp_path):
     case = draw(5, "none", count=30, seen=True)
     law = TiltedSprings(

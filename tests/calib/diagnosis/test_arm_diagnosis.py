@@ -163,6 +163,7 @@ def test_few_poses_are_asked_what_they_bear():
     assert not any("poses bear" in one.reason or "so few poses" in one.reason for one in many[1])
 
 
+@pytest.mark.slow
 def test_a_large_backlash_shows_in_25_poses_and_nothing_in_quiet_ones():
     """A play of several times the noise is found from 25 poses, at its joint; without it nothing is."""
     for seed in range(2):

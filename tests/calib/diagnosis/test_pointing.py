@@ -40,6 +40,7 @@ def test_the_flexure_of_the_tube_is_told_whatever_it_is_like(tmp_path):
     assert report.unexplained is None
 
 
+@pytest.mark.slow
 def test_a_calibration_searches_beside_the_flexure(tmp_path):
     made = calibrate(starred(tmp_path / "rec", 7))
     assert [effect.name for effect in made.calibration.physics.effects] == ["compliance"]

@@ -48,6 +48,7 @@ def test_markers_printed_within_tolerance_are_no_finding(tmp_path, design, place
     assert tree["findings"] == [] and tree["unexplained"] is None
 
 
+@pytest.mark.slow
 def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tmp_path, design):
     rec = recorded(tmp_path, design, [f"print_scale:markers:scale={SIDES.limit}"], 11, ROUTE, 0.03)
     found = diagnosis_of(rec, only=PRINTED)

@@ -170,6 +170,7 @@ def pose_residuals(seed, times=1.0, shared=0.0):
     )
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_factor_holds_its_truth():
     found = [noise_factors(pose_residuals(seed, 2.0)) for seed in range(100)]
     known = [one for one in found if one is not None]
@@ -184,6 +185,7 @@ def test_repeated_commands_that_show_the_same_refute_noise():
     assert not any(noise_factors(pose_residuals(seed)) for seed in range(10))
 
 
+@pytest.mark.slow
 def test_one_command_visited_often_does_not_refute_noise():
     visited = np.array(list(combinations(range(0, 192, 12), 2)))  # sixteen visits make 120 pairs, and 15 differences
     often = [pose_residuals(seed, 2.0)._replace(repeated=visited) for seed in range(60)]

@@ -148,6 +148,7 @@ def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
     assert with_wild_poses == without and [f["effect"] for f in with_wild_poses] == ["scale_error"]
 
 
+@pytest.mark.slow
 def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
     bad, frames = spoilt_poses(posed(tmp_path / "rec", design, [], 4), np.random.default_rng(4), 0.2)
     report = diagnosis_report(diagnosis_of(bad, ["backlash"]))

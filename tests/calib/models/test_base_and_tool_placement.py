@@ -87,7 +87,12 @@ def geometry_error(recording, case):
 
 
 @pytest.mark.parametrize(
-    ("places", "ends"), [(FAR, ("free", "rig")), (NEAR, ("rig", "rig")), (STILL, ("free", "free"))]
+    ("places", "ends"),
+    [
+        pytest.param(FAR, ("free", "rig"), marks=pytest.mark.slow),
+        (NEAR, ("rig", "rig")),
+        pytest.param(STILL, ("free", "free"), marks=pytest.mark.slow),
+    ],
 )
 def test_three_stations_tell_as_much_as_one(tmp_path, places, ends):
     """The same commands and noise, once from three stations and once from one: the geometry is as good."""
