@@ -254,8 +254,8 @@ def _without_insignificant_findings(
 ) -> tuple[Selection[Fit, C], list[LackOfFit]]:
     """(Selection without findings that are none beside smooth functions of what is left, what is left then).
 
-    What such a finding hid beside others is searched for once it is gone, and found where that is more than one name in
-    its place, which its alternatives would have shown, and leaves less.
+    What such findings hid beside others is searched for once they are gone, and found where it leaves less and is what
+    no alternative to one finding would have shown: more names than before, or others for several that explain more.
     """
     left = problem.lack_of_fit(problem.residual(selection.fit))
     retained = remove_findings_insignificant_with_smooth_functions(problem, selection, left)
@@ -264,13 +264,25 @@ def _without_insignificant_findings(
         return retained, left
     left = problem.lack_of_fit(problem.residual(retained.fit))
     further = search_further_terms(problem, retained, removed, progress) if retained.findings else retained
-    if len(further.findings) <= len(selection.findings):
+    if not _exceeds(problem, selection, further, len(removed)):
         return retained, left
     further_left = problem.lack_of_fit(problem.residual(further.fit))
     further = remove_findings_insignificant_with_smooth_functions(problem, further, further_left)
     further_left = problem.lack_of_fit(problem.residual(further.fit))
-    is_more = len(further.findings) > len(selection.findings) and len(further_left) < len(left)
+    is_more = _exceeds(problem, selection, further, len(removed)) and len(further_left) < len(left)
     return (further, further_left) if is_more else (retained, left)
+
+
+def _exceeds(
+    problem: Problem[Fit, Model, C], selection: Selection[Fit, C], further: Selection[Fit, C], removed_count: int
+) -> bool:
+    """Whether a further Selection has more names than the one that it replaces, or explains more with others for
+    several that were removed, by what the numbers of both cost."""
+    if len(further.findings) > len(selection.findings):
+        return True
+    size = problem.size(selection.fit)
+    cost, further_cost = (sum(f.score.complexity(size) for f in s.findings) for s in (selection, further))
+    return removed_count > 1 and problem.likelihood_ratio(selection.fit, further.fit) > further_cost - cost
 
 
 def _explained(

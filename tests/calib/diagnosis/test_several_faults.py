@@ -79,6 +79,15 @@ def test_axes_that_differ_in_what_the_whole_machine_shows_leave_nothing_unknown(
 
 
 @pytest.mark.slow
+def test_other_names_for_several_that_are_refuted_together_stand_where_they_explain_more(tmp_path):
+    # struts that lag and settle, each differently: three settling errors were refuted, and what took their place at all
+    # struts was given up for eight unknowns
+    result, effects, hidden = diagnosed(92001, 3, tmp_path)
+    assert not result.left
+    assert [one.effect for one in hidden if one.is_named(effects)] == ["servo_lag", "axis_coupling"]
+
+
+@pytest.mark.slow
 def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(tmp_path):
     result, effects, hidden = diagnosed(68004, 3, tmp_path)
     assert not result.left
