@@ -120,7 +120,7 @@ def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[st
 
 
 def design_with_turned_cubes(design: Design, quarter_turns: Mapping[str, int]) -> Design:
-    """The Design with cubes turned, by quarter_turns {cube: quarter turns}.
+    """The Design with cubes turned by quarter_turns {cube: number}.
 
     Raises RigError for an unknown cube.
     """
@@ -134,7 +134,7 @@ def design_with_turned_cubes(design: Design, quarter_turns: Mapping[str, int]) -
 
 
 def rig_toml_with_turns(text: str, quarter_turns: Mapping[str, int]) -> str:
-    """The rig.toml text with the cubes' quarter_turns stated.
+    """The rig.toml text with the cubes' quarter turns stated.
 
     All else, comments too, unchanged.
     """

@@ -91,7 +91,7 @@ def hand_number(mechanism: object, hand: str | int) -> int:
 
 
 def require_one_hand(mechanism: object, refusal_beginning: str) -> None:
-    """Raise RigError for a mechanism with several hands. refusal_beginning : of the sentence"""
+    """Raise RigError for a mechanism with several hands. refusal_beginning : says what is not done"""
     names = hand_names(mechanism)
     if names:
         raise RigError(f"{refusal_beginning} for arms with one hand; this one has {len(names)}: {', '.join(names)}")

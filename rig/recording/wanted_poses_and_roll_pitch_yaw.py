@@ -33,11 +33,8 @@ def load_wanted_poses(path: str | Path, form: TableFormat = PLAIN, mechanism: ob
     form : of the file; mechanism : that is to take them. Of an arm with several hands the rows of the hand at which it
     is seen are taken, where the table has a column hand. Raises FileError with line and column
     """
-    rows, hands, hand = (
-        read_csv_table(path, ("frame",), form=form),
-        hand_names(mechanism),
-        selected_hand_name(mechanism),
-    )
+    rows = read_csv_table(path, ("frame",), form=form)
+    hands, hand = hand_names(mechanism), selected_hand_name(mechanism)
     directions = "azimuth" in rows.columns
     if directions and hand is not None and HAND in rows.columns:
         rows.fail("a direction has no column hand; state whole poses", 0, HAND, rows.text(HAND)[0])

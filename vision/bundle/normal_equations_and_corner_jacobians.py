@@ -272,10 +272,8 @@ def whitened_residuals_and_derivatives(
             shared.append(small_motion_jacobian(J_marker, at))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.prints.rows:
-            printed, parts = (
-                printing_error_jacobian(J_marker, small_motion_jacobian(J_marker, at), at),
-                unknowns.prints.parts,
-            )
+            printed = printing_error_jacobian(J_marker, small_motion_jacobian(J_marker, at), at)
+            parts = unknowns.prints.parts
             if unknowns.prints.together.stop > unknowns.prints.together.start:
                 shared.append(printed[..., SIDE:])
                 columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))

@@ -99,7 +99,7 @@ def emulated_driver_with_emulator_and_clock(
     clock = TrialClock()
     stated: dict[str, Any] = {"protocol": protocol, **controller}
     design = replace(design, controller=replace(design.driver(), **stated))
-    faults = Faults(sum((parse_faults(order) for order in fault_texts), ()), np.random.default_rng(seed))
+    faults = Faults(sum((parse_faults(text) for text in fault_texts), ()), np.random.default_rng(seed))
     emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
     return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
 

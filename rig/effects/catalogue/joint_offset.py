@@ -57,10 +57,8 @@ class JointOffset(Effect):
         return f"takes a cardan at end {' or '.join(f'{e:g}' for e in ends)} of the strut"
 
     def deviation(self, motion: Motion) -> Floats:
-        excess, home = (
-            self._excess(motion, T)
-            for T in (motion.posed(), require_hexapod_or_redundant_hexapod(motion.mechanism).home)
-        )
+        at_home = require_hexapod_or_redundant_hexapod(motion.mechanism).home
+        excess, home = self._excess(motion, motion.posed()), self._excess(motion, at_home)
         return self.axes(motion.places) * (excess - home)
 
     def covariate(self, motion: Motion) -> Covariate:
@@ -92,11 +90,8 @@ class JointOffset(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
-        offset, ends = (
-            draw_scalar_parameter(cls.parameters[0], drawing, rng),
-            CARDANS[drawing.motion.actuator.joints or BALL],
-        )
-        return cls(place, offset, float(rng.choice(ends)))
+        offset = draw_scalar_parameter(cls.parameters[0], drawing, rng)
+        return cls(place, offset, float(rng.choice(CARDANS[drawing.motion.actuator.joints or BALL])))
 
     @classmethod
     def linear(cls, place: str) -> list[Linear]:

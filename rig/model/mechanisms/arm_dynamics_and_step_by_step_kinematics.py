@@ -323,7 +323,7 @@ def _rotate_vectors(v: Floats, u: Floats, t: float) -> Floats:
 
 
 def rotate_points(points: Floats, axis_point: Floats, axis_direction: Floats, angle: float) -> Floats:
-    """Points (..., 3) m rotated about an axis through axis_point (3,) m along axis_direction (3,), by rad."""
+    """Points (..., 3) m rotated about an axis through axis_point (3,) m along axis_direction (3,) by angle rad."""
     return axis_point + _rotate_vectors(points - axis_point, axis_direction, angle)
 
 

@@ -69,12 +69,8 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     off = parameter_errors_by_tolerances(refined, sensitivities)
     assert off[0, together] == 0  # which is what the scale is the size of
     heaviest = max(singles, key=lambda place: abs(off[0, singles[place]]))
-    by = {
-        sign: refine_at_fixed_repeated_corner_error(larger(refined.point, heaviest, sign * FAR), sensitivities).values[
-            0
-        ]
-        for sign in (1, -1)
-    }
+    far = {sign: larger(refined.point, heaviest, sign * FAR) for sign in (1, -1)}
+    by = {s: refine_at_fixed_repeated_corner_error(point, sensitivities).values[0] for s, point in far.items()}
     assert (by[1] - by[-1]) / (2 * FAR) == pytest.approx(off[0, singles[heaviest]] / sigma[singles[heaviest]], rel=0.1)
     wide, narrow = (
         float(np.sqrt(one.covariance[0, 0]))

@@ -300,14 +300,11 @@ def test_a_run_that_was_killed_in_a_move_has_the_frames_whose_commands_are_known
             exposed.append(row.step)
             if row.step >= 2 and exposed.count(row.step) == 2 and not killed_in:
                 killed_in.append(row.step)
-                shutil.copytree(
-                    tmp_path / "rec", tmp_path / "killed"
-                )  # what is on disk where the process is killed now
+                shutil.copytree(tmp_path / "rec", tmp_path / "killed")  # what is on disk if it is killed now
 
     monkeypatch.setattr(move_and_record_loop.RunOperator, "write", write_and_copy)
-    moving(
-        made, tmp_path / "rec", plan="sobol:6"
-    )  # one of its moves is long enough for two exposures on a busy machine too
+    # on a busy machine too, one of so many moves is long enough for two exposures
+    moving(made, tmp_path / "rec", plan="sobol:6")
     frames, _ = require_commands_as_moved(made, tmp_path / "killed", tmp_path / "rec", 2)
     assert len(frames) == sum(step < killed_in[0] for step in exposed)
     assert len(recording_folder.load_recording(tmp_path / "rec").commanded()[0]) == len(exposed)

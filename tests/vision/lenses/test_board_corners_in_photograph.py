@@ -87,34 +87,17 @@ def test_a_lens_that_is_not_taken_out_bends_the_corners():
 
 
 def test_share_is_the_bivariate_normals():
-    rng = np.random.default_rng(0)
+    rng, share = np.random.default_rng(0), board_corners_in_photograph.edge_crossing_white_share
     h, k = rng.uniform(-3, 3, (2, 20))
     for rho in (-0.7, 0.0, 0.4):
         normal = multivariate_normal([0, 0], [[1, rho], [rho, 1]])
-        value, dh, dk, dr = board_corners_in_photograph.edge_crossing_white_share(h, k, rho)
+        value, dh, dk, dr = share(h, k, rho)
         expected = [normal.cdf([a, b]) + normal.cdf([-a, -b]) for a, b in zip(h, k)]
         np.testing.assert_allclose(value, expected, atol=1e-6)
-        np.testing.assert_allclose(
-            np.diagonal(
-                jacobian(lambda x, r=rho: board_corners_in_photograph.edge_crossing_white_share(x, k, r)[0], h)
-            ),
-            dh,
-            atol=1e-6,
-        )
-        np.testing.assert_allclose(
-            np.diagonal(
-                jacobian(lambda x, r=rho: board_corners_in_photograph.edge_crossing_white_share(h, x, r)[0], k)
-            ),
-            dk,
-            atol=1e-6,
-        )
-        np.testing.assert_allclose(
-            jacobian(lambda r: board_corners_in_photograph.edge_crossing_white_share(h, k, r[0])[0], np.array([rho]))[
-                :, 0
-            ],
-            dr,
-            atol=1e-6,
-        )
+        np.testing.assert_allclose(np.diagonal(jacobian(lambda x, r=rho: share(x, k, r)[0], h)), dh, atol=1e-6)
+        np.testing.assert_allclose(np.diagonal(jacobian(lambda x, r=rho: share(h, x, r)[0], k)), dk, atol=1e-6)
+        by_rho = jacobian(lambda r: share(h, k, r[0])[0], np.array([rho]))[:, 0]
+        np.testing.assert_allclose(by_rho, dr, atol=1e-6)
 
 
 def test_what_is_no_corner_gives_a_reason():

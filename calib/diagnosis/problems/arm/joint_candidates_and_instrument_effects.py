@@ -313,11 +313,8 @@ def fit_of_effects_shown_by_instruments(recording: Recording, sampled: Sampled) 
 
 def findings_of_effects_fitted_before_search(fit: JointFit) -> tuple[MeasuredFinding, ...]:
     """Findings of effects that were fitted before the search, with 95 % intervals; of a lean its RMS first."""
-    out, coordinates, sigma = (
-        list[MeasuredFinding](),
-        fit_coordinates_of_effects(fit.effects),
-        np.sqrt(np.diag(fit.own)),
-    )
+    out = list[MeasuredFinding]()
+    coordinates, sigma = fit_coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
     for number, effect in enumerate(fit.effects):
         parameters = dict[str, Value]()
         before, after = fit.measured.tilts, fit.samples.tilts

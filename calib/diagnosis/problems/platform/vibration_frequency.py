@@ -149,8 +149,10 @@ def _bins(length: float, high: float) -> tuple[int, float]:
 def power_spectrum_at_sparse_times(series: Floats, at: Integers, bin_count: int) -> Floats:
     """Power spectrum (bin_count // 2 + 1,) of series (s, F) with values at few of `bin_count` times.
 
-    at : (F,) bin of each; bin_count : a multiple of COMB. The frequencies a + A b, A = bins / COMB, of one a are one
-    transform of COMB times of the series turned by a: many short ones stay in the processor's cache. Single precision.
+    The sum over the series of the squares of their discrete Fourier transforms, in the square of their unit.
+    at : (F,) bin of each; bin_count : a multiple of COMB. The frequencies a + A b, A = bin_count / COMB, of one a are
+    one transform of COMB times of the series turned by a: many short ones stay in the processor's cache. Single
+    precision.
     """
     apart, order = bin_count // COMB, np.argsort(at % COMB)
     teeth, first = np.unique(at[order] % COMB, return_index=True)
@@ -184,11 +186,8 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
     window = np.sqrt(power_spectrum_at_sparse_times(np.ones((1, len(t))), at, bins)) / len(t)
-    return (
-        2 * power_spectrum_at_sparse_times((beta @ half).T, at, bins),
-        window,
-        np.arange(bins // 2 + 1) / (bins * step),
-    )
+    power = 2 * power_spectrum_at_sparse_times((beta @ half).T, at, bins)
+    return power, window, np.arange(bins // 2 + 1) / (bins * step)
 
 
 def _mirrors_of_slow_changes(spectrum: Floats, window: Floats, length: float, high: float) -> Booleans:
