@@ -18,16 +18,16 @@ ImageBytes = NDArray[np.uint8]  # (height, width) grey levels or (height, width,
 Pixels = NDArray[np.integer | np.floating]  # what OpenCV draws on and gives back
 
 
-def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Floats:
+def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], name_in_errors: str) -> Floats:
     """Read-only floats of a shape, such as (None, 3) with None for any length.
 
-    what : its name, in errors. Raises ValueError for another shape and for what is not finite
+    name_in_errors : its name, in errors. Raises ValueError for another shape and for what is not finite
     """
     array = np.array(value, float)
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
-        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
+        raise ValueError(f"{name_in_errors}: expected shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{what}: not finite: {array.tolist()}")
+        raise ValueError(f"{name_in_errors}: not finite: {array.tolist()}")
     array.setflags(write=False)
     return array
 

@@ -201,7 +201,7 @@ class CalibrationResult(OneLineRepr):
         elif isinstance(self.done, chain_certification.CertifiedChain):
             chain_certification.write_chain_calibration_page(*rest, self.done, links)
         else:
-            platform_page.write_calibration_page(*rest, self.done.found, links)
+            platform_page.write_platform_calibration_page(*rest, self.done.found, links)
 
     def write_summands(self, path: Path) -> None:
         """Write the correction values at the recorded configurations (ksf.csv). Raises RigError where there are none:

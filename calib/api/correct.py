@@ -14,7 +14,7 @@ from calib.correction.correction import require_reachable
 from calib.correction.physics_compensation import require_sensor_coverage
 from calib.correction.timed_command_sequence_and_pose_error_map import HOLDING
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import tool_parameters
+from calib.models.arm.error_model_and_observations import tool_parameter_slice
 from calib.models.machine_models import corrected_pose_covariance
 from calib.models.wanted_pose_commands import (
     RouteCommands,
@@ -349,7 +349,7 @@ def _of_chosen_hand(calibration: Calibration, options: CorrectOptions) -> Calibr
         return calibration
     seen = calibration.of_hand(options.hand)
     assert isinstance(seen.correction, ArmCorrection)
-    if not options.uncorrected and not calibration.covariance[tool_parameters(seen.correction.nominal)].any():
+    if not options.uncorrected and not calibration.covariance[tool_parameter_slice(seen.correction.nominal)].any():
         raise RigError(
             f"the hand {options.hand!r} was not measured in this calibration, so the errors of its poses are not "
             "known; --uncorrected commands what the nominal model says"

@@ -61,7 +61,10 @@ from calib.models.arm import joint_space_correction_and_claim as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
 from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_claim
-from calib.models.chain.configuration_space_correction import certify_extended_chain, single_step_chain_errors
+from calib.models.chain.configuration_space_correction import (
+    certify_extended_chain_correction,
+    single_step_chain_correction_errors,
+)
 from calib.models.platform.identification import inverse_strut_length_jacobian
 from calib.samples.pose_samples import Sampled, Samples
 from rig.array_and_json_types import Booleans, Floats, Json
@@ -314,15 +317,19 @@ def certify_correction_extension(
     base = "the nominal model alone" if options.alone else "the fitted geometry"
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
-        of_arm, tried = arm_extension.certify_extended_arm(samples, arm, sampled.instrument, ask, rng, progress)
+        of_arm, tried = arm_extension.certify_extended_arm_correction(
+            samples, arm, sampled.instrument, ask, rng, progress
+        )
         claim_of = arm_extension.claim_without_geometry if options.alone else arm_workspace_claim
         misses = arm_extension.single_step_correction_errors(of_arm.correction)
         claim = claim_of(samples, of_arm, rng)
         return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
     provenance: Json = {}
     if design.mechanism.bodies:
-        of_chain, tried = certify_extended_chain(samples, require_chain(design.mechanism), ask, rng, progress)
-        misses = single_step_chain_errors(of_chain.correction, samples.commanded)
+        of_chain, tried = certify_extended_chain_correction(
+            samples, require_chain(design.mechanism), ask, rng, progress
+        )
+        misses = single_step_chain_correction_errors(of_chain.correction, samples.commanded)
         claim = chain_workspace_claim(samples, of_chain, rng)
         return ExtendedCorrection(of_chain, tried, claim, provenance, misses, "m", base)
     if options.onto is None:

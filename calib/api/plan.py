@@ -24,12 +24,12 @@ from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_to_noise_and_separation import Separation, effect_separation
 from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
 from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
-from calib.models.arm.pointing_terms import term_jacobian
+from calib.models.arm.pointing_terms import pointing_term_jacobian
 from calib.models.arm.tilt_observations import planned_tilt_jacobian
 from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
-    parameter_combinations,
+    parameter_combinations_and_visibility,
     standard_error_along,
 )
 from calib.models.platform.optimal_calibration_poses import (
@@ -181,7 +181,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         avoided,
     )
     (before, _), (after, seen), (_, even) = (
-        parameter_combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even)
+        parameter_combinations_and_visibility(root, mechanism) for root in (chosen.before, chosen.root, chosen.even)
     )
     visited = 0 if options.given is None else len(options.given)
     gain = (seen.singular.prod() / even.singular.prod()) ** (1 / 42)
@@ -285,9 +285,9 @@ def _parameters_seen_by_tilt_sensors(design: Design, arm: Arm) -> IndependentPar
 
 def _pointing_parameters(arm: Arm) -> IndependentParameters:
     """The pointing terms of a mount of which directions are measured."""
-    names, _ = term_jacobian(arm.limits.mean(axis=1)[None], arm)
+    names, _ = pointing_term_jacobian(arm.limits.mean(axis=1)[None], arm)
     size = np.full(len(names), PLAUSIBLE_ERRORS["rad"])
-    return IndependentParameters(names, ("rad",) * len(names), size, lambda q: term_jacobian(q, arm)[1], False)
+    return IndependentParameters(names, ("rad",) * len(names), size, lambda q: pointing_term_jacobian(q, arm)[1], False)
 
 
 def _sigma(value: float) -> str:

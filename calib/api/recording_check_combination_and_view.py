@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from calib.drift.visit_equations_and_reference import base_motion_columns
-from calib.models.base_and_tool_displacement_between_recordings import has_placements, placement_lines
+from calib.models.base_and_tool_displacement_between_recordings import has_base_and_tool_placements, placement_lines
 from calib.models.geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
@@ -253,7 +253,7 @@ def check_and_combine_recordings(
                 notice("the instrument stands anywhere: its place is fitted in each recording")
             elif not places:
                 notice("the instrument has not moved")
-        elif has_placements(recording.design.mechanism, measured) and not several:
+        elif has_base_and_tool_placements(recording.design.mechanism, measured) and not several:
             recording, placements = remove_base_and_tool_displacement(recording)
             for line in placement_lines(placements, [one.name for one in every[1:]]):
                 notice(line)

@@ -44,7 +44,7 @@ from calib.certification.uncertainty_budget import (
     uncertainty_budget,
 )
 from calib.files import calibration_file
-from calib.files.calibration_file import calibration_text
+from calib.files.calibration_file import calibration_json_text
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.confounded_conditions_and_clocks import confound_sentences, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
@@ -242,7 +242,7 @@ def certificate_provenance(
     The digests are of the calibration's file, or what would be in it, of each recording's tables and of the content
     marks of its exposures; the id is of what went in and what was asked, not of when.
     """
-    text = calibration_text(calibration).encode() if path is None else path.read_bytes()
+    text = calibration_json_text(calibration).encode() if path is None else path.read_bytes()
     inputs = {"calibration.json" if path is None else path.name: {"file": hashlib.sha256(text).hexdigest()}}
     for recording in recordings:
         name = recording.folder.resolve().name

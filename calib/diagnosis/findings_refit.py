@@ -27,7 +27,10 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
-from calib.diagnosis.unmodelled_curves import arm_fit_with_curves, refinement_with_curves
+from calib.diagnosis.unmodelled_curves import (
+    arm_fit_with_curves_for_unexplained,
+    refinement_with_curves_for_unexplained,
+)
 from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import parameter_names, sample_observations
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
@@ -226,7 +229,7 @@ def refit_platform_with_findings(
     refined = refine_operating_point(
         point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
     )
-    refined, unknown = refinement_with_curves(refined, findings.unknown)
+    refined, unknown = refinement_with_curves_for_unexplained(refined, findings.unknown)
     effects, own = _combined(refined, findings)
     report("refining physics and geometry jointly", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
@@ -345,7 +348,7 @@ def refit_arm_with_findings(
     found = fit_geometry_and_effects(
         samples, History(design, commands, smooth_temperatures(recording.sensors)[0]), start, findings.effects, before
     )
-    found, unknown = arm_fit_with_curves(found, findings.unknown)
+    found, unknown = arm_fit_with_curves_for_unexplained(found, findings.unknown)
     report("refining physics and geometry jointly", 1, 1)
     physics = _physics(found.effects, found.own, unknown, len(parameter_names(nominal)), recording, samples.t)
     return ArmRefit(found, physics)

@@ -111,7 +111,9 @@ class _Choice(NamedTuple):
     bare: Floats
 
 
-def choose_curve(rows_by_scatter: Sequence[AxisRows], candidates: Sequence[Candidate]) -> ChosenCurve | None:
+def choose_curve_for_residual(
+    rows_by_scatter: Sequence[AxisRows], candidates: Sequence[Candidate]
+) -> ChosenCurve | None:
     """The smooth curve, of the candidates, that explains an axis' residual best on held-out stretches.
 
     None where none holds on held-out stretches.
@@ -196,7 +198,9 @@ class _Undone:
     after: float
 
 
-def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> tuple[Refinement, tuple[Unknown, ...]]:
+def refinement_with_curves_for_unexplained(
+    refined: Refinement, unexplained: Sequence[Unknown]
+) -> tuple[Refinement, tuple[Unknown, ...]]:
     """Refinement with curves for what has no name at struts.
 
     Returns (Refinement, the Unknowns with what these curves undo)
@@ -211,7 +215,7 @@ def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> t
         motion = refined.point.motion(refined.point.effects)
         moved = [c.deviation(c.grid[0], motion) for c in candidates]
         shares = SCATTERS if model.closures.scatter[axis] > 0 else (1.0,)
-        return choose_curve([_strut_rows(model, axis, moved, share) for share in shares], candidates)
+        return choose_curve_for_residual([_strut_rows(model, axis, moved, share) for share in shares], candidates)
 
     def add(effect: Effect) -> None:
         nonlocal refined
@@ -219,11 +223,13 @@ def refinement_with_curves(refined: Refinement, unknown: Sequence[Unknown]) -> t
         refined = refine_operating_point(point, Sensitivities(point))
 
     units = dict(zip(context.moved().places, context.moved().units))
-    undone = _undone(unknown, units, chosen, add)
+    undone = _undone(unexplained, units, chosen, add)
     return refined, undone
 
 
-def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[JointFit, tuple[Unknown, ...]]:
+def arm_fit_with_curves_for_unexplained(
+    fit: JointFit, unexplained: Sequence[Unknown]
+) -> tuple[JointFit, tuple[Unknown, ...]]:
     """JointFit of an arm with curves for what has no name at joints.
 
     Returns (JointFit, the Unknowns with what these curves undo)
@@ -239,13 +245,13 @@ def arm_fit_with_curves(fit: JointFit, unknown: Sequence[Unknown]) -> tuple[Join
         moved = [c.deviation(c.grid[0], motion) for c in candidates]
         shares = SCATTERS if found.scatter.any() else (1.0,)
         views = [WhitenedSamples.of(fit.samples, replace(found, scatter=share * found.scatter)) for share in shares]
-        return choose_curve([_hand_rows(fit, seen, moved) for seen in views], candidates)
+        return choose_curve_for_residual([_hand_rows(fit, seen, moved) for seen in views], candidates)
 
     def add(effect: Effect) -> None:
         nonlocal fit
         fit = fit_geometry_and_effects(samples, history, fit.arm, (*fit.effects, effect), fit.before)
 
-    undone = _undone(unknown, dict.fromkeys(motion.places, "m"), chosen, add)
+    undone = _undone(unexplained, dict.fromkeys(motion.places, "m"), chosen, add)
     return fit, undone
 
 

@@ -145,7 +145,7 @@ class Verdict:
         return None if first.kind == SOMETHING or self.left < UNSAID else first
 
 
-def unexplained_squares(visits: Sequence[Equations], prior: Floats) -> float:
+def whitened_squares_unexplained_by_constants(visits: Sequence[Equations], prior: Floats) -> float:
     """Whitened squares of visits unexplained by constants with a prior information (p, p)."""
     total = np.sum([v.information for v in visits], axis=0) + prior
     right = np.sum([v.right for v in visits], axis=0)

@@ -16,7 +16,7 @@ from calib.drift.change_evidence_and_sentences import (
     change_hypotheses,
     change_verdict,
     prior_information_of_constants_between_visits,
-    unexplained_squares,
+    whitened_squares_unexplained_by_constants,
 )
 from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations
 from rig.errors import FileError, RigError
@@ -103,8 +103,8 @@ def add_visit_and_judge_change(
         [visit.equations for visit in history.visits],
         prior_information_of_constants_between_visits(reference, calibration.covariance),
     )
-    square = unexplained_squares([*before, equations], constants) - (
-        unexplained_squares(before, constants) if before else 0.0
+    square = whitened_squares_unexplained_by_constants([*before, equations], constants) - (
+        whitened_squares_unexplained_by_constants(before, constants) if before else 0.0
     )
     squares = [*((visit.square, visit.count) for visit in history.visits), (square, equations.count)]
     first = history.visits[0].visits if history.visits else 1
@@ -146,9 +146,9 @@ SCHEMA = "watch/1"
 MOST_PLACES = 200
 
 
-def calibration_digest(calibration: Path) -> str:
+def calibration_digest(calibration_path: Path) -> str:
     """SHA-256 digest of a calibration's file."""
-    return sha256(calibration.read_bytes()).hexdigest()
+    return sha256(calibration_path.read_bytes()).hexdigest()
 
 
 def write_history(path: Path | str, history: History) -> None:
@@ -199,14 +199,14 @@ def write_history(path: Path | str, history: History) -> None:
     write_text(path, json.dumps(tree) + "\n")
 
 
-def read_history(path: Path | str, calibration: str) -> History:
+def read_history(path: Path | str, calibration_sha256: str) -> History:
     """History of visits read from its file.
 
-    calibration : SHA-256 of the file that it must be about
+    calibration_sha256 : SHA-256 of the file that it must be about
     Raises FileError for a file that is missing, cut off, none of these, or of another calibration
     """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "history of a watch", SCHEMA)
-    if tree.text("calibration_sha256") != calibration:
+    if tree.text("calibration_sha256") != calibration_sha256:
         raise FileError(path, "is the history of another calibration; name another file, and a new history begins")
     places = tree.texts("places")
     if not 0 < len(places) <= MOST_PLACES:
@@ -219,7 +219,7 @@ def read_history(path: Path | str, calibration: str) -> History:
         tree.text("targets"),
     )
     return History(
-        calibration,
+        calibration_sha256,
         reference,
         tuple(_visit(table, unknowns) for table in tree.tables("visits")),
         frozenset(tree.texts("data")),

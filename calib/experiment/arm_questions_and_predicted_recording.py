@@ -41,7 +41,7 @@ from calib.experiment.experiment_questions_and_information import (
     Question,
     Rival,
     deviance_of_alternative,
-    is_ruled_out,
+    is_alternative_ruled_out,
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
 )
@@ -217,14 +217,14 @@ class ArmQuestion(Question[ArmFit]):
         )
 
 
-def arm_questions(diagnosis: Diagnosis) -> list[ArmQuestion]:
+def open_questions_of_arm_diagnosis(diagnosis: Diagnosis) -> list[ArmQuestion]:
     """Questions that an arm's diagnosis leaves open, none where it is clear.
     Raises RigError for a machine of which no plan can be foretold.
     """
     problem, whole = diagnosis.selection.problem, diagnosis.selection.fit
     assert isinstance(problem, ArmProblem) and isinstance(whole, Fit) and problem.geometry is not None
     geometry, size = problem.geometry, whole.size
-    open_ones = [f for f in diagnosis.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
+    open_ones = [f for f in diagnosis.findings if any(not is_alternative_ruled_out(f, a, size) for a in f.alternatives)]
     if not open_ones:
         return []
     if not isinstance(geometry.mechanism, Arm):
@@ -237,7 +237,7 @@ def arm_questions(diagnosis: Diagnosis) -> list[ArmQuestion]:
         own = whole.terms[finding.number].candidate
         found: list[Rival[ArmFit]] = [Rival(own.name, own.place, 0.0, ArmFit(whole, geometry), finding.number)]
         bare = problem.remove_term(whole, finding.number)
-        for a in (a for a in finding.alternatives if not is_ruled_out(finding, a, size)):
+        for a in (a for a in finding.alternatives if not is_alternative_ruled_out(finding, a, size)):
             term = Term.of(a.score)
             fit = bare.with_terms(
                 [optimise_nonlinear_parameters(bare, term) if has_continuous_parameters(term) else term]

@@ -157,17 +157,21 @@ def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     return (*named, Hypothesis(UNKNOWN, rivals[0].place, FOREIGN, rivals[0].fit, rivals[0].number))
 
 
-def is_ruled_out(finding: Finding[C], alternative: Alternative[C], size: int) -> bool:
+def is_alternative_ruled_out(finding: Finding[C], alternative: Alternative[C], independent_residual_count: int) -> bool:
     """Whether an alternative to a finding is ruled out, by its odds or by the data alone."""
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
-        not same or deviance_of_alternative(finding, alternative, size) >= PLATFORM.alike
+        not same or deviance_of_alternative(finding, alternative, independent_residual_count) >= PLATFORM.alike
     )
 
 
-def deviance_of_alternative(finding: Finding[C], alternative: Alternative[C], size: int) -> float:
+def deviance_of_alternative(finding: Finding[C], alternative: Alternative[C], independent_residual_count: int) -> float:
     """Deviance (-2 log likelihood ratio) of an alternative from its finding, without complexity cost."""
-    return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))
+    return float(
+        alternative.behind
+        - alternative.score.complexity(independent_residual_count)
+        + finding.score.complexity(independent_residual_count)
+    )
 
 
 POOL = 96  # configurations to choose from, beside the corners of what the axes reach

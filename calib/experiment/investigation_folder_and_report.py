@@ -84,19 +84,19 @@ class InvestigationRound:
         return out
 
 
-def plan_path(folder: Path, number: int) -> Path:
+def plan_path(folder: Path, round_number: int) -> Path:
     """Path of a round's plan in an investigation's folder."""
-    return folder / f"plan{number}.csv"
+    return folder / f"plan{round_number}.csv"
 
 
-def recording_path(folder: Path, number: int) -> Path:
+def recording_path(folder: Path, round_number: int) -> Path:
     """Path of a round's recording in an investigation's folder."""
-    return folder / f"rec{number}"
+    return folder / f"rec{round_number}"
 
 
-def diagnosis_path(folder: Path, number: int) -> Path:
+def diagnosis_path(folder: Path, round_number: int) -> Path:
     """Path of a round's diagnosis in an investigation's folder."""
-    return folder / f"diagnosis{number}"
+    return folder / f"diagnosis{round_number}"
 
 
 def duration_of_plan_in_minutes(plan: Path) -> float:

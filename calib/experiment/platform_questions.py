@@ -46,7 +46,7 @@ from calib.experiment.experiment_questions_and_information import (
     Question,
     Rival,
     deviance_of_alternative,
-    is_ruled_out,
+    is_alternative_ruled_out,
     predictions_with_unlisted_hypothesis,
     rival_hypotheses,
 )
@@ -296,7 +296,7 @@ def _prior_standard_deviations(coordinates: list[Coordinate], effects: tuple[Eff
     return np.array(out)
 
 
-def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
+def open_questions_of_platform_diagnosis(diagnosis: Diagnosis) -> list[PlatformQuestion]:
     """Questions ([PlatformQuestion]) that a platform's diagnosis leaves open.
 
     None where it is clear.
@@ -304,7 +304,9 @@ def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
     """
     d, fit = diagnosis, diagnosis.selection.fit
     size = fit.refined.model.size
-    open_ones = [f for f in d.selection.findings if any(not is_ruled_out(f, a, size) for a in f.alternatives)]
+    open_ones = [
+        f for f in d.selection.findings if any(not is_alternative_ruled_out(f, a, size) for a in f.alternatives)
+    ]
     if not open_ones:
         return []
     point = d.selection.before.refined.point
@@ -316,7 +318,7 @@ def platform_questions(diagnosis: Diagnosis) -> list[PlatformQuestion]:
         own = fit.terms[finding.number]
         found: list[Rival[Refinement]] = [Rival(own.name, own.place, 0.0, fit.refined, finding.number)]
         bare, unasked = problem.remove_term(fit, finding.number), []
-        for a in (a for a in finding.alternatives if not is_ruled_out(finding, a, size)):
+        for a in (a for a in finding.alternatives if not is_alternative_ruled_out(finding, a, size)):
             candidate = a.score.candidate
             try:
                 refined = problem.add_term(bare, a.score).refined

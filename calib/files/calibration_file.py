@@ -30,9 +30,9 @@ from calib.files.mechanism_and_physics_entries import (
     mechanism_from_entries,
     physics_dict,
     physics_from_entries,
+    require_known_text,
     require_same_ranges,
     require_schema_contents,
-    require_text,
 )
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.correction import ArmCorrection
@@ -220,15 +220,15 @@ def save(path: Path | str, calibration: Calibration) -> None:
     Raises FileError where another kinematics file of that name is there
     """
     write_kinematics_file(Path(path).parent, calibration.correction.nominal)
-    write_calibration(path, calibration)
+    write_calibration_json(path, calibration)
 
 
-def write_calibration(path: Path | str, calibration: Calibration) -> None:
+def write_calibration_json(path: Path | str, calibration: Calibration) -> None:
     """Write calibration.json alone, whole or not at all."""
-    write_text(path, calibration_text(calibration))
+    write_text(path, calibration_json_text(calibration))
 
 
-def calibration_text(calibration: Calibration) -> str:
+def calibration_json_text(calibration: Calibration) -> str:
     """Text of a Calibration's calibration.json."""
     correction = calibration.correction
     model = model_of(correction.nominal)
@@ -277,7 +277,7 @@ def load(path: Path | str, effect_kinds: Kinds = BY_NAME, several_hands: bool = 
         ("frames", model.frames),
         ("parameter_order", (model.parameter_order(nominal),)),
     ):
-        require_text(tree, key, known)
+        require_known_text(tree, key, known)
     count = model.parameter_count(nominal)
     fit = tree.table("fit")
     return Calibration(

@@ -45,7 +45,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 
 
-def require_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
+def require_known_text(tree: Entries, key: str, known_texts: Sequence[str]) -> None:
     """Raise FileError where a key's text is not one of those known.
 
     Units, frames and orders.
@@ -186,10 +186,10 @@ def mechanism_dict(mechanism: Commanded) -> Json:
     }
 
 
-def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
+def mechanism_from_entries(table: Entries, is_nominal: bool = False) -> Commanded:
     """Mechanism from its JSON entries.
 
-    stated : whether it is the nominal one.
+    is_nominal : whether it is the nominal one.
     Raises FileError for anything else.
     """
     if "file" in table.tree:
@@ -198,8 +198,8 @@ def mechanism_from_entries(table: Entries, stated: bool = False) -> Commanded:
         stages = table.tables("stages")
         if len(stages) < 2:
             table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
-        return Chain(tuple(_stage_in(stage, stated) for stage in stages))
-    return _stage_in(table, stated)
+        return Chain(tuple(_stage_in(stage, is_nominal) for stage in stages))
+    return _stage_in(table, is_nominal)
 
 
 def file_mechanism_dict(mechanism: FileMechanism) -> Json:

@@ -336,16 +336,15 @@ FAR = 1e-3  # chance of a length beyond which a pose counts less
 EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts
 
 
-def excess_scatter(residuals: Floats, instrument_covariance: Floats, share: float | Floats = 0.0) -> Floats:
+def excess_scatter(residuals: Floats, instrument_covariance: Floats, fitted_share: float | Floats = 0.0) -> Floats:
     """Excess scatter (k,) m and rad beyond the instrument's own.
 
     One figure for positions, one for rotations.
-    residuals : (m, k) residuals, m and rad; instrument_covariance : (m, k, k) the instrument's covariance; share : of
-        the squares, what the
-    fit took away, one figure or one for positions and one for rotations
+    residuals : (m, k) residuals, m and rad; instrument_covariance : (m, k, k) the instrument's covariance;
+    fitted_share : of the squares, what the fit took away, one figure or one for positions and one for rotations
     """
     out = np.zeros(residuals.shape[1])
-    for part, fitted in zip((slice(0, 3), slice(3, 6)), np.broadcast_to(share, 2)):
+    for part, fitted in zip((slice(0, 3), slice(3, 6)), np.broadcast_to(fitted_share, 2)):
         if residuals[:, part].size:
             length, stated = (
                 (residuals[:, part] ** 2).sum(axis=1),

@@ -140,7 +140,7 @@ def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
     return out
 
 
-def samples_in_reference(samples: Samples, placement: Placement, predicted: RigidTransform) -> Samples:
+def samples_as_measured_in_reference(samples: Samples, placement: Placement, predicted: RigidTransform) -> Samples:
     """Samples as they would have been measured in the reference.
 
     predicted : (n,) poses there, whose rotations stand for those that positions alone do not tell
@@ -170,7 +170,7 @@ class _White(NamedTuple):
 
 def _white(predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats) -> _White:
     """Whitened residuals and columns of samples about a placement. scatter : (6,) m, rad beyond the poses' noise"""
-    moved = samples_in_reference(samples, placement, predicted)
+    moved = samples_as_measured_in_reference(samples, placement, predicted)
     rows = 3 if samples.measured == "position" else 6
     left = pose_to_vector(predicted.inv() * moved.T_base_platform)[:, :rows]
     covariance = moved.total_covariance()[:, :rows, :rows] + np.diag(scatter[:rows] ** 2)
@@ -179,10 +179,10 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
     left = (W @ left[..., None])[..., 0]
     size = np.sqrt((left**2).mean(axis=1))
     weight = np.minimum(1.0, HUBER * max(1.0, float(np.median(size))) / np.maximum(size, 1e-12))
-    return _White(left, W_columns * placement_parameter_mask(placement.ends, samples.measured), weight, W)
+    return _White(left, W_columns * estimated_placement_parameter_mask(placement.ends, samples.measured), weight, W)
 
 
-def placement_parameter_mask(ends: tuple[bool, bool], measured: str) -> Booleans:
+def estimated_placement_parameter_mask(ends: tuple[bool, bool], measured: str) -> Booleans:
     """Which (12,) bool of the base's and the tool's six placement parameters are estimated.
 
     Positions tell no rotation of the tool.
@@ -220,7 +220,7 @@ def estimate_placement(
         found = found.stepped(step)
         if np.abs(step).max() < SETTLED:
             break
-    requested = placement_parameter_mask(ends, samples.measured)
+    requested = estimated_placement_parameter_mask(ends, samples.measured)
     freedom = max(white.left.size - int(requested.sum()), 1)
     excess = max(1.0, float(((white.weight[:, None] * white.left) ** 2).sum()) / freedom)
     return replace(found, covariance=np.linalg.inv(H) * excess * np.outer(requested, requested))
@@ -272,7 +272,7 @@ def is_placement_significant(
     return gone - left > CLEAR**2 * left
 
 
-def has_placements(mechanism: object, measured: str) -> bool:
+def has_base_and_tool_placements(mechanism: object, measured: str) -> bool:
     """Whether base and tool placements are estimated of a machine.
 
     Of arms and chains by poses, or by positions alone.
@@ -325,7 +325,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
         T, turn, line = poses_aligned_with_machine(samples.T_base_platform, predicted, ends, level)
         own, common = turn @ samples.covariance @ turn.T, turn @ samples.common
         return PlacedSamples(replace(samples, T_base_platform=T, covariance=own, common=common), lines=(line,))
-    if not has_placements(fitted, samples.measured):
+    if not has_base_and_tool_placements(fitted, samples.measured):
         return PlacedSamples(samples)
     assert isinstance(fitted, (Arm, Chain))
     always = (
@@ -354,7 +354,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     if not all(tested.ends):
         found = estimated(tested.ends)
     found = replace(found, ends=tested.ends, p_values=tested.p_values)
-    moved = samples_in_reference(samples, found, predicted)
+    moved = samples_as_measured_in_reference(samples, found, predicted)
     white = _white(predicted, samples, found, scatter)
     A = white.columns * white.weight[:, None, None]
     hat = np.linalg.inv(np.einsum("nka,nkb->ab", A, white.columns) + np.eye(12) / LOOSE**2)
@@ -368,7 +368,7 @@ def _without_displacement(calibration: Calibration, samples: Samples, instrument
     if samples.measured == "position":
         T = RigidTransform.from_translation(T.translation)
     unexpected = tuple(name for name, moved_, free in zip(ENDS, found.moved, always) if moved_ and not free)
-    numbers = int(placement_parameter_mask(found.ends, samples.measured).sum())
+    numbers = int(estimated_placement_parameter_mask(found.ends, samples.measured).sum())
     lines = [
         *found.lines(),
         f"the errors are without this: {numbers} numbers were estimated from these {len(samples)} poses, and what they "
@@ -389,9 +389,9 @@ def _by_shared_errors(
     J = white.W @ J[:, : white.left.shape[1]]
     H = np.einsum("nka,nkb->ab", white.columns, white.columns) + np.eye(12) / LOOSE**2
     G = np.linalg.solve(H, np.einsum("nka,nkp->ap", white.columns, J))
-    common = samples_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
+    common = samples_as_measured_in_reference(samples, found, predicted).common[:, : white.left.shape[1]]
     B = np.linalg.solve(H, np.einsum("nka,nkc->ac", white.columns, white.W @ common))
-    requested = placement_parameter_mask(found.ends, samples.measured)
+    requested = estimated_placement_parameter_mask(found.ends, samples.measured)
     return (G @ calibration.covariance @ G.T + B @ B.T) * np.outer(requested, requested)
 
 

@@ -22,11 +22,11 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     Placement,
     base_origin,
     estimate_placement,
+    estimated_placement_parameter_mask,
     is_placement_significant,
     placement_columns,
-    placement_parameter_mask,
     placement_with_significant_displacements,
-    samples_in_reference,
+    samples_as_measured_in_reference,
     target_poses_by_forward_kinematics,
 )
 from calib.models.chain import error_model_and_identification as chains
@@ -51,8 +51,8 @@ def _joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placemen
     moved, count = [], 12 * len(placements)
     for k, (part, place) in enumerate(zip(parts, (none, *placements))):
         T = target_poses_by_forward_kinematics(part, machine)
-        one = samples_in_reference(part, place, T)
-        requested = placement_parameter_mask(place.ends, part.measured)
+        one = samples_as_measured_in_reference(part, place, T)
+        requested = estimated_placement_parameter_mask(place.ends, part.measured)
         columns = np.zeros((len(part), 6, count))
         below = []
         if k:
@@ -203,7 +203,7 @@ def _placed_with_geometry(
         placements = [one.stepped(own) for one, own in zip(placements, step.reshape(-1, 12))]
         if np.abs(step).max() < PLACED:
             break
-    requested = np.concatenate([placement_parameter_mask(one.ends, samples.measured) for one in placements])
+    requested = np.concatenate([estimated_placement_parameter_mask(one.ends, samples.measured) for one in placements])
     covariance = covariance * np.outer(requested, requested)
     blocks = [covariance[k : k + 12, k : k + 12] for k in range(0, len(covariance), 12)]
     done = [replace(one, covariance=own) for one, own in zip(placements, blocks)]

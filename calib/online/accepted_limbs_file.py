@@ -137,7 +137,7 @@ def load_limbs(path: Path | str) -> Accepted:
     return found
 
 
-def accepted_limbs(path: Path | str, design: Design) -> Accepted:
+def load_accepted_limbs_for_design(path: Path | str, design: Design) -> Accepted:
     """Accepted limbs of a limbs.json that may replace vision on a rig.
 
     Raises RigError where they may not.

@@ -276,7 +276,7 @@ def _frame_motion(R: Floats, t: Floats, out: Floats) -> None:
 
 
 @njit(cache=True)
-def solve_triangle_into_estimate(p: Floats, s: Floats, S: Floats) -> None:
+def add_triangular_solution_to_estimate(p: Floats, s: Floats, S: Floats) -> None:
     """Solve the triangle S for its step and add it to the estimate p (42,), s (c,), in place."""
     c = len(s)
     k = c + 42
@@ -340,7 +340,7 @@ def add_pose_to_estimate_in_place(
         innovation[i] = rows[i, k]
     _gather(rows, k, sums)
     if update_at_once:
-        solve_triangle_into_estimate(p, s, S)
+        add_triangular_solution_to_estimate(p, s, S)
     return ALARM if _suspicious(sums) else QUIET
 
 

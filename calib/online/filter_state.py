@@ -28,7 +28,7 @@ from calib.online.filter_kernels_and_change_detection import (
     Machine,
     Pose,
     add_pose_to_estimate_in_place,
-    solve_triangle_into_estimate,
+    add_triangular_solution_to_estimate,
 )
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
@@ -155,7 +155,7 @@ def relinearised_state(state: State, start: Start) -> State:
     relinearised = State(begins, state.learnt, (), (), state.innovation, False)
     for pose in state.first:
         relinearised = state_with_pose(relinearised, pose, start, update_at_once=False)
-    solve_triangle_into_estimate(
+    add_triangular_solution_to_estimate(
         relinearised.estimate.p, relinearised.estimate.s, relinearised.estimate.S
     )  # in place: nothing else holds this estimate yet
     return relinearised

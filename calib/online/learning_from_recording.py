@@ -50,25 +50,25 @@ class Learning:
 def learn_by_filter(
     recording: Recording,
     sampler: Sampler,
-    known: Online | None,
+    previous_filter: Online | None,
     calibration: Calibration | None,
     progress: Progress,
     notice: Notice,
 ) -> Learning:
     """Learning of a recording's new poses by the filter.
 
-    sampler : samples the recording; known : the filter to go on with, or None; calibration : where a new one starts
-        from, or None; notice : called with how many frames were learnt before
+    sampler : samples the recording; previous_filter : the filter to go on with, or None; calibration : where a new one
+        starts from, or None; notice : called with how many frames were learnt before
     Raises RigError where no pose is left to learn
     """
-    before = 0 if known is None else known.number
-    learnt = _known_frames(calibration) if known is None else known.data
+    before = 0 if previous_filter is None else previous_filter.number
+    learnt = _known_frames(calibration) if previous_filter is None else previous_filter.data
     fresh, found, commands = _new_poses(recording, sampler, learnt, calibration, notice)
     samples, mechanism = found.samples, require_hexapod(recording.design.mechanism)
     shared = samples.common.shape[2]
-    if known is not None:
-        known.new_session(shared)
-    learner = known or (
+    if previous_filter is not None:
+        previous_filter.new_session(shared)
+    learner = previous_filter or (
         Online(mechanism, shared)
         if calibration is None
         else Online(require_hexapod(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance)

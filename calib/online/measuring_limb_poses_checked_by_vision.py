@@ -23,7 +23,7 @@ from calib.online import accepted_limbs_file
 from calib.online.accepted_limbs_file import Accepted
 from calib.online.filter_kernels_and_change_detection import Change
 from calib.online.information_filter import Online
-from calib.samples.pose_samples import Sampled, Samples, pair_samples
+from calib.samples.pose_samples import Sampled, Samples, pair_commands_with_measured_poses
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -148,7 +148,10 @@ def samples_of_limb_poses(recording: Recording, poses: LimbPoses) -> Sampled:
     Raises RigError without commands.
     """
     return Sampled(
-        pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common), SOURCE, None, None
+        pair_commands_with_measured_poses(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
+        SOURCE,
+        None,
+        None,
     )
 
 
@@ -185,7 +188,7 @@ def check_limb_poses_by_redundancy_and_vision(
     look = np.arange(len(poses.frames)) % check_interval == 0
     if recording.commands is not None:
         look = _is_checked_by_vision(
-            pair_samples(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
+            pair_commands_with_measured_poses(recording, poses.frames, poses.T_base_platform, poses.own, poses.common),
             require_hexapod(recording.design.mechanism),
             check_interval,
         )
@@ -281,7 +284,7 @@ def checked_limb_poses(
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
         longer agrees: their acceptance is withdrawn in their file first
     """
-    accepted = accepted_limbs_file.accepted_limbs(source.path, recording.design)
+    accepted = accepted_limbs_file.load_accepted_limbs_for_design(source.path, recording.design)
     found = limb_poses(recording, accepted)
     checked = check_limb_poses_by_redundancy_and_vision(recording, accepted, found, source.every, progress)
     if checked.disagreement is not None and checked.frame is not None:

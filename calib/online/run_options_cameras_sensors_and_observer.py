@@ -91,7 +91,7 @@ class RunOptions:
         """The limbs that stand for vision, None where none do. Raises RigError where nothing reads them."""
         if self.limbs is None:
             return None
-        found = accepted_limbs_file.accepted_limbs(self.limbs.path, design)
+        found = accepted_limbs_file.load_accepted_limbs_for_design(self.limbs.path, design)
         channels = measuring_limb_identification_and_agreement.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
@@ -217,24 +217,26 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
 
 
 def set_exposures(
-    shutter: SynchronisedCameras, design: Design, stated: float | None, of_run: dict[str, float]
+    shutter: SynchronisedCameras, design: Design, stated_exposure: float | None, previous_exposures: dict[str, float]
 ) -> tuple[dict[str, float], list[str]]:
     """Set exposures of all cameras.
 
-    stated : s of all, or None; of_run : {camera: s} that the run had before, which it keeps where none is stated.
+    stated_exposure : s of all, or None; previous_exposures : {camera: s} that the run had before, which it keeps where
+        none is stated.
     Where there is neither, markers are made bright without clipping.
     Returns ({camera: s}, lines of a report)
     """
     made, lines, markers = dict[str, float](), [], marker_map(design)
     for source in shutter.sources:
         name = source.name
-        wanted = of_run.get(name) if stated is None else stated
+        wanted = previous_exposures.get(name) if stated_exposure is None else stated_exposure
         if not source.can_set_exposure:
             lines.append(f"camera {name!r} sets its exposure itself")
         elif wanted is not None:
             made[name] = source.set_exposure(wanted)
             lines.append(
-                f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms" + (", as before" if stated is None else "")
+                f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms"
+                + (", as before" if stated_exposure is None else "")
             )
         else:
             made[name], level = set_exposure_for_markers(
@@ -251,11 +253,11 @@ def make_run_observer(
     clock: Clock,
     stopping: RunStop,
     options: RunOptions,
-    out: Path,
+    recording_path: Path,
 ) -> RunObserver:
     """Make the RunObserver that measures and learns during a run, by accepted limbs where the options name them.
 
-    start : (axes,) m; out : the recording, named where an acceptance is withdrawn
+    start : (axes,) m; recording_path : the recording, named where an acceptance is withdrawn
     """
     accepted = options.accepted_limbs(design)
     measured = (
@@ -272,7 +274,7 @@ def make_run_observer(
         observer.ignore_limbs()
     if accepted is not None and options.limbs is not None:
         observer.source = LiveLimbPoses(accepted, options.limbs.every)
-        observer.withdraw = partial(_withdraw, options.limbs.path, str(out))
+        observer.withdraw = partial(_withdraw, options.limbs.path, str(recording_path))
     return observer
 
 

@@ -10,7 +10,9 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import cal
 from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
 from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
-from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import parameter_combinations
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    parameter_combinations_and_visibility,
+)
 from calib.models.platform.identification import Identified
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.pose_samples import Samples
@@ -45,7 +47,7 @@ from rig.report.verdict_refutations_and_result_display import Evidence, MissingE
 from vision.lenses.lens_calibration_from_photographs import Calibrated
 
 
-def write_calibration_page(
+def write_platform_calibration_page(
     path: Path | str,
     recording: Recording,
     calibration: Calibration,
@@ -78,10 +80,10 @@ def write_calibration_page(
         _combinations(calibration, identified),
         folding_section_html("Every parameter's change", _parameters(calibration)),
     ]
-    write_page_of_calibration(path, recording, calibration, parts, links)
+    write_calibration_page_from_parts(path, recording, calibration, parts, links)
 
 
-def write_page_of_calibration(
+def write_calibration_page_from_parts(
     path: Path | str, recording: Recording, calibration: Calibration, parts: list[str], links: Sequence[Link]
 ) -> None:
     """Write a calibration's page.
@@ -151,7 +153,7 @@ def _held(held: HeldOut | None) -> list[str]:
 
 def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
-    parts, seen = parameter_combinations(found.root, calibration.correction.fitted)
+    parts, seen = parameter_combinations_and_visibility(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not known") for part in parts]
     return folding_section_html(
         f"The {len(parts)} combinations determined by the poses, worst first (condition number {seen.condition:.0f})",

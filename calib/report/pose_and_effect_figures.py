@@ -98,18 +98,18 @@ def _times(value: float | tuple[float, ...], factor: float) -> float | tuple[flo
     return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
 
 
-def pose_coverage_figures(vectors: Floats) -> str:
+def pose_coverage_figures(pose_vectors: Floats) -> str:
     """Figures of how poses cover the workspace.
 
     Vectors (n, 6) are position (m) and rotation vector (rad).
     """
-    mm = vectors[:, :3] * 1e3
+    mm = pose_vectors[:, :3] * 1e3
     places = [
         plot_panel_svg(f"seen {seen}", (f"{'xyz'[i]}, mm", f"{'xyz'[j]}, mm"), [Series(mm[:, i], mm[:, j])])
         for seen, i, j in (("from above", 0, 1), ("from the side", 0, 2))
     ]
     turns = [
-        Series(np.arange(len(vectors)), np.degrees(vectors[:, 3 + k]), name, colour=k)
+        Series(np.arange(len(pose_vectors)), np.degrees(pose_vectors[:, 3 + k]), name, colour=k)
         for k, name in enumerate(("rx", "ry", "rz"))
     ]
     panels = panel_row_html(*places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns))

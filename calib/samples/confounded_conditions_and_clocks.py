@@ -115,7 +115,7 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
     known = samples.conditions
     if known is None:
         return None
-    return confounds_of_design(
+    return confounds_of_experimental_design(
         samples.commanded, known.direction, known.t, known.channels, mechanisms.axis_place_texts(mechanism)
     )
 
@@ -127,7 +127,7 @@ def confounds_of_configurations(
     signs = np.sign(values - reached_from)
     latest = np.maximum.accumulate(np.where(signs != 0, np.arange(len(signs))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(signs, np.maximum(latest, 0), axis=0))
-    return confounds_of_design(
+    return confounds_of_experimental_design(
         values, direction, cast(Floats, EVEN * np.arange(len(values))), {}, mechanisms.axis_place_texts(mechanism)
     )
 
@@ -145,7 +145,7 @@ def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None
     known = [conditions_of_exposures(recording, t) for recording, (_, t, _) in zip(recordings, frames)]
     names = [name for name in known[0].channels if all(name in one.channels for one in known)]
     begins = np.cumsum([0.0, *(float(one.t.max()) for one in known[:-1])])
-    return confounds_of_design(
+    return confounds_of_experimental_design(
         np.concatenate([values for _, _, values in frames]),
         np.concatenate([one.direction for one in known]),
         np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
@@ -172,7 +172,7 @@ def _row_in(row: Entries) -> Confound:
     return Confound(row.text("axis"), row.text("cause"), *shares)
 
 
-def confounds_of_design(
+def confounds_of_experimental_design(
     values: Floats, direction: Floats, t: Floats, channels: dict[str, Floats], axes: Sequence[str]
 ) -> Confounds:
     """Confounds of an experimental design, of a plan or a recording.

@@ -160,7 +160,7 @@ class Samples:
         return self.covariance + self.common @ np.swapaxes(self.common, 1, 2)
 
 
-def pair_samples(
+def pair_commands_with_measured_poses(
     recording: Recording,
     frames: Integers,
     T_base_platform: RigidTransform,
@@ -264,7 +264,7 @@ Progress = Callable[[str, int, int], None]  # called with (label, done, of)
 
 def sample_recording(
     recording: Recording,
-    free: tuple[str, ...] = ("poses", "lenses"),
+    free_quantities: tuple[str, ...] = ("poses", "lenses"),
     progress: Progress | None = None,
     on_corners: Callable[[Corners], None] | None = None,
     several_hands: bool = False,
@@ -297,15 +297,17 @@ def sample_recording(
             f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured"
         )
     if is_of_several_hands(recording):
-        return _sample_hands(recording, free, progress)
+        return _sample_hands(recording, free_quantities, progress)
     from vision.recording_measurement import (
         measure_recording,  # opens OpenCV: only where images or corners are measured
     )
 
-    measured, collected = measure_recording(recording, free, progress=progress, check_corners=on_corners)
+    measured, collected = measure_recording(recording, free_quantities, progress=progress, check_corners=on_corners)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
-    found = pair_samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
+    found = pair_commands_with_measured_poses(
+        recording, measured.frames, measured.T_base_platform, own, measured.common
+    )
     for stage, below in measured.stages.items():
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
         found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
@@ -352,7 +354,7 @@ def _joined_hands(recording: Recording, measured: dict[str, Sampled], which: str
     frame = np.concatenate([part.samples.frame for part in parts])
     hand = np.concatenate([np.full(len(part.samples), names.index(name)) for name, part in measured.items()])
     order = np.lexsort((hand, frame))
-    found = pair_samples(
+    found = pair_commands_with_measured_poses(
         recording,
         frame[order],
         RigidTransform.concatenate([part.samples.T_base_platform for part in parts])[order],
@@ -369,7 +371,7 @@ def _from_poses(recording: Recording) -> Samples:
     if instrument is not None and not has_links(m):
         _require_whole_poses(recording, instrument)
     covariance = pose_covariance(poses, instrument, m)
-    found = pair_samples(recording, poses.frame, poses.T_base_platform, covariance, poses.common)
+    found = pair_commands_with_measured_poses(recording, poses.frame, poses.T_base_platform, covariance, poses.common)
     found = replace(found, hand=poses.hand)
     for stage, below in recording.stages.items():
         own = pose_covariance(below, instrument, m)

@@ -111,23 +111,23 @@ def pose_columns_of_poses_csv_as_written(recording: Recording) -> Floats:
     )
 
 
-def commands_disagree_with_poses(moves: CommandsAndPoses) -> bool:
+def commands_disagree_with_poses(commands_and_poses: CommandsAndPoses) -> bool:
     """Whether commands disagree with poses by more than a calibration can correct."""
-    if len(moves.frame) < LEAST:
+    if len(commands_and_poses.frame) < LEAST:
         return False
-    L = kinematics.inverse(moves.T, moves.mechanism)
+    L = kinematics.inverse(commands_and_poses.T, commands_and_poses.mechanism)
     moved = float(np.sqrt(((L - L.mean(axis=0)) ** 2).mean()))
-    left = moves.left()
+    left = commands_and_poses.left()
     scatter = float(np.sqrt(((left - np.median(left, axis=0)) ** 2).mean()))
-    return moves.miss() > AWAY or (scatter > max(SMALL, SHARE * moved))
+    return commands_and_poses.miss() > AWAY or (scatter > max(SMALL, SHARE * moved))
 
 
-def command_pose_mistakes(moves: CommandsAndPoses) -> Iterator[Mistake]:
+def command_pose_mistakes(commands_and_poses: CommandsAndPoses) -> Iterator[Mistake]:
     """Mistakes that best explain why commands disagree with poses, or the size of what none explains."""
-    if not commands_disagree_with_poses(moves):
+    if not commands_disagree_with_poses(commands_and_poses):
         return
-    before = moves.miss()
-    tried = [(other.miss(), what, do) for what, do, other in _candidates(moves)]
+    before = commands_and_poses.miss()
+    tried = [(other.miss(), what, do) for what, do, other in _candidates(commands_and_poses)]
     left, what, do = min(tried, key=lambda one: one[0], default=(np.inf, "", ""))
     shifts = [one for one in tried if SHIFTED in one[1] and one[0] < ALIKE * left]
     if shifts and CLOCK in what:  # an offset of clocks, being fitted, is as good wherever frames are evenly spaced

@@ -42,21 +42,21 @@ def implausible_values(design: Design) -> Iterator[Mistake]:
         yield from _lens(camera)
 
 
-def overlong_rotation_vectors(tree: Json) -> Iterator[Mistake]:
+def overlong_rotation_vectors(rig_toml_tree: Json) -> Iterator[Mistake]:
     """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml.
 
     None where it states the unit of angles.
     """
-    if stated_units(tree).angle != "rad":
+    if stated_units(rig_toml_tree).angle != "rad":
         return
     found = []
     for kind in ("camera", "target"):
-        for entry in tree.get(kind, []):
+        for entry in rig_toml_tree.get(kind, []):
             for part in [entry, *(entry["marker"] if isinstance(entry.get("marker"), list) else [])]:
                 rotvec = part.get("pose", {}).get("rotvec")
                 if rotvec is not None and np.linalg.norm(rotvec) > TURN:
                     found.append((f"{kind} {entry.get('name')}", float(np.linalg.norm(rotvec))))
-    home = tree.get("mechanism", {}).get("home", {}).get("rotvec")
+    home = rig_toml_tree.get("mechanism", {}).get("home", {}).get("rotvec")
     if home is not None and np.linalg.norm(home) > TURN:
         found.append(("mechanism.home", float(np.linalg.norm(home))))
     if found:

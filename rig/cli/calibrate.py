@@ -159,7 +159,7 @@ def run(arguments: Namespace) -> None:
     missing = arguments.out.with_name(f"{arguments.out.stem}.lost.csv")
     plan = arguments.outputs.file(missing) if options.extend is not None and page is not None else None
     result = calibrate(recordings, options, progress, notice_printer(progress))
-    calibration_file.write_calibration(out, result.calibration)
+    calibration_file.write_calibration_json(out, result.calibration)
     if page:
         progress("drawing the page", 0, 1)
         result.write_page(page, links)

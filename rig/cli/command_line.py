@@ -86,9 +86,9 @@ def main(argv: list[str] | None = None) -> int:
     Returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    from rig.cli.shared.output_display import escaped_output
+    from rig.cli.shared.output_display import escape_control_characters_in_output
 
-    with escaped_output():
+    with escape_control_characters_in_output():
         return _main(join_negative_numbers(sys.argv[1:] if argv is None else argv))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options, output_display
-from rig.cli.shared.argument_parsing import require_share
+from rig.cli.shared.argument_parsing import require_share_of_greatest_speed
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_port_and_trace_options,
@@ -63,7 +63,7 @@ def run(arguments: Namespace) -> None:
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.formats.numbers_and_units import SI
 
-    require_share(arguments.speed)
+    require_share_of_greatest_speed(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
     calibration = input_options.calibration_of_arguments(arguments)
     output_display.read_and_print_refutations(arguments.calibration)

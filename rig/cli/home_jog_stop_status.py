@@ -9,7 +9,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import require_share
+from rig.cli.shared.argument_parsing import require_share_of_greatest_speed
 from rig.cli.shared.common_options import (
     add_controller_arguments,
     add_json_result_option,
@@ -81,7 +81,7 @@ def run_jog(arguments: Namespace) -> None:
     struts = arguments.strut or list(range(1, count + 1))
     if not all(1 <= strut <= count for strut in struts):
         raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
-    require_share(arguments.speed)
+    require_share_of_greatest_speed(arguments.speed)
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; omit --strut")
     with open_driver(design, arguments.trace, print) as driver:

@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import length_and_angle
+from rig.cli.shared.argument_parsing import parse_length_and_angle
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_overwrite_option,
@@ -71,7 +71,7 @@ def run_test(arguments: Namespace) -> int:
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))
-    options = AcceptLimbsOptions(length_and_angle(arguments.tolerance), names, tuple(arguments.argv))
+    options = AcceptLimbsOptions(parse_length_and_angle(arguments.tolerance), names, tuple(arguments.argv))
     recording = read_recording(arguments)
     renewed = arguments.out is not None and is_limbs_file(arguments.out)
     out = arguments.outputs.file(arguments.out, own=renewed) if arguments.out else None

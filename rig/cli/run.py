@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import length_and_angle
+from rig.cli.shared.argument_parsing import parse_length_and_angle
 from rig.cli.shared.common_options import SEED, add_controller_arguments
 from rig.cli.shared.input_options import add_limb_options, limb_source
 from rig.errors import RigError
@@ -141,7 +141,7 @@ def _options(arguments: Namespace) -> RunOptions:
         exposure if exposure in (None, "keep") else _seconds(exposure),
         calibration_file.load(known) if known and not arguments.dry_run else None,
         str(known),
-        length_and_angle(arguments.tolerance) if arguments.tolerance else None,
+        parse_length_and_angle(arguments.tolerance) if arguments.tolerance else None,
         frozenset(filter(None, arguments.stop_on.split(","))),
         not arguments.no_measure,
         limb_source(arguments),

@@ -102,7 +102,7 @@ def _identification():
             rng = np.random.default_rng(seed)
             true = worlds.secret(nominal, rng)
             seen = pose_observations(worlds.tracked(true, nominal, 80, rng))
-            found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
+            found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
             z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
@@ -130,7 +130,9 @@ def _identification():
         ("drawn wire, 50 um, 400 lengths", worlds.wired(true, UR10, 400, rng)),
     ):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
-        found = identify_arm(seen, instrument_placement.place_arm(seen, start, True, seen.kind != "distance"))
+        found = identify_arm(
+            seen, instrument_placement.place_base_and_tool_of_arm(seen, start, True, seen.kind != "distance")
+        )
         got = error_model_and_observations.predicted_target_poses(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)

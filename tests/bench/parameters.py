@@ -12,7 +12,10 @@ from scipy.optimize import least_squares
 
 from calib.certification import measuring_limb_identification_and_agreement
 from calib.correction import simultaneous_camera_and_geometry_fit
-from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE, parameter_combinations
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    PLAUSIBLE,
+    parameter_combinations_and_visibility,
+)
 from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_optimal_configurations
 from calib.online.forgetting_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
@@ -83,7 +86,7 @@ def _batch(design):
     ).max()
     yield "scipy least_squares, numeric Jacobian, the same cost", f"{seconds:.2f} s, {seconds / ours:.0f} x", ">= 50 x"
     yield "the two optima apart, greatest", f"{apart:.1e} sigma", ""
-    parts, seen = parameter_combinations(found.root, found.mechanism)
+    parts, seen = parameter_combinations_and_visibility(found.root, found.mechanism)
     yield (
         "condition number of the 42, worst and best determined combination",
         (f"{seen.condition:.0f}: {parts[0].sigma * 1e6:.0f} and {parts[-1].sigma * 1e6:.2f} um"),
@@ -93,7 +96,7 @@ def _batch(design):
 
 def _scatter(design):
     first = identify_platform(sampled(design, 0, count=200)[0], design.mechanism)
-    along = np.array([part.direction for part in parameter_combinations(first.root, first.mechanism)[0]])
+    along = np.array([part.direction for part in parameter_combinations_and_visibility(first.root, first.mechanism)[0]])
     z = np.empty((MORE_RUNS, 42))
     for seed in range(MORE_RUNS):
         samples, true = sampled(design, seed, count=200)
@@ -133,7 +136,7 @@ def _plans(design):
 def _online(design):
     samples, true = sampled(design, 1, count=1000)
     batch = identify_platform(samples, design.mechanism)
-    along = np.array([part.direction for part in parameter_combinations(batch.root, batch.mechanism)[0]])
+    along = np.array([part.direction for part in parameter_combinations_and_visibility(batch.root, batch.mechanism)[0]])
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
     alone = replace(samples, common=samples.common[:, :, :0], covariance=samples.total_covariance())
     rest = identify_platform(alone, design.mechanism)

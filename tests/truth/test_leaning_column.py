@@ -18,7 +18,11 @@ from calib.models.arm.error_model_and_observations import (
     sample_observations,
 )
 from calib.models.arm.identification_and_joint_profiles import identify_arm
-from calib.models.arm.tilt_observations import link_turns_by_joints, link_turns_by_parameters, tilt_rows
+from calib.models.arm.tilt_observations import (
+    link_rotation_jacobian_by_joints,
+    link_rotation_jacobian_by_parameters,
+    tilt_equation_rows,
+)
 from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
@@ -124,17 +128,17 @@ def test_rows_agree_with_differences():
         return np.stack([sensor.shown(links[:, sensor.link], down) for sensor in sensors], axis=1)
 
     read = TiltReadings(sensors, shown(arm), down)
-    rows = tilt_rows(read, q, arm)
+    rows = tilt_equation_rows(read, q, arm)
     np.testing.assert_allclose(rows.residuals, 0, atol=1e-12)
-    turned = link_turns_by_parameters(read, q, arm, parameter_jacobian(q, arm))
+    turned = link_rotation_jacobian_by_parameters(read, q, arm, parameter_jacobian(q, arm))
     by_step = jacobian(lambda step: shown(arm_with_parameter_step(arm, step)), np.zeros(42))
     np.testing.assert_allclose(rows.turns @ turned, by_step, atol=1e-7)
     by_joint = jacobian(lambda step: shown(arm, q + step), np.zeros(6))
-    np.testing.assert_allclose(rows.turns @ link_turns_by_joints(read, q, arm), by_joint, atol=1e-7)
+    np.testing.assert_allclose(rows.turns @ link_rotation_jacobian_by_joints(read, q, arm), by_joint, atol=1e-7)
     np.testing.assert_allclose(rows.turns, jacobian(lambda lean: shown(arm, lean=lean), np.zeros(3)), atol=1e-7)
     leaned = TiltReadings(sensors, shown(arm, lean=np.array([1e-3, 2e-3, 0])), down)
     back = leaned.with_lean(np.tile([1e-3, 2e-3, 0], (n, 1)))
-    np.testing.assert_allclose(tilt_rows(back, q, arm).residuals, 0, atol=1e-12)
+    np.testing.assert_allclose(tilt_equation_rows(back, q, arm).residuals, 0, atol=1e-12)
 
 
 def test_a_wild_reading_is_left_out_and_a_sensor_that_scatters_counts_less(tmp_path):

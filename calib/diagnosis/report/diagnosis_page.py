@@ -80,7 +80,7 @@ def write_diagnosis_page(
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
         parts += [heading_html("Where"), machine_figures.where([f.place for f in (*main, *report.unknown, *slight)])]
-    parts.append(paragraph_html(diagnosis_texts.held_out_sentence(report.fit, bool(report.named))))
+    parts.append(paragraph_html(diagnosis_texts.held_out_error_sentence(report.fit, bool(report.named))))
     for number, finding in enumerate(main):
         title = (
             diagnosis_texts.finding_title(finding)

@@ -101,18 +101,13 @@ def as_sentence(text: str) -> str:
     return text[0].upper() + text[1:] + "."
 
 
-def excluded_outlier_texts(row: LeftOut) -> tuple[str, str, str, str]:
-    """Texts on an excluded outlier, a pose or corners.
-
-    Each is frame, place, how far off, reason.
-
-    Left out of a diagnosis.
-    """
+def excluded_outlier_texts(outlier: LeftOut) -> tuple[str, str, str, str]:
+    """Frame, place, distance and reason of an outlier (a pose or corners) left out of a diagnosis."""
     return (
-        str(row.frame),
-        row.place,
-        f"{value_text(row.off, row.unit)}, {row.times:.0f} times the scatter of the others",
-        row.reason,
+        str(outlier.frame),
+        outlier.place,
+        f"{value_text(outlier.off, outlier.unit)}, {outlier.times:.0f} times the scatter of the others",
+        outlier.reason,
     )
 
 
@@ -121,16 +116,15 @@ def row_count_text(count: int) -> str:
     return "1 row is" if count == 1 else f"{count} rows are"
 
 
-def outliers_not_excluded_sentence(crowd: Crowd) -> str:
+def outliers_not_excluded_sentence(outliers_not_excluded: Crowd) -> str:
     """Sentence on outliers that were not excluded, since they are too many."""
     return (
-        f"{crowd.count} of {crowd.of} {crowd.what} are far off all others: too many to be individual "
-        "mistakes, so they were not excluded, and "
-        "the model is incomplete"
+        f"{outliers_not_excluded.count} of {outliers_not_excluded.of} {outliers_not_excluded.what} are far off all "
+        "others: too many to be individual mistakes, so they were not excluded, and the model is incomplete"
     )
 
 
-def held_out_sentence(fit: FitEntry, has_named_findings: bool) -> str:
+def held_out_error_sentence(fit: FitEntry, has_named_findings: bool) -> str:
     """Sentence on the held-out error, on stretches that the fit had not seen."""
     before, after, floor = (
         value_text(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor)
@@ -175,9 +169,9 @@ def evidence_sentence(finding: FindingEntry) -> str:
     return f"How sure: {'; '.join(lines)}."
 
 
-def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
+def unexplained_sentence(unexplained_findings: Sequence[FindingEntry]) -> str:
     """Sentence on what is unexplained: functions that fit it, or scatter that none fits."""
-    fitted = [f for f in unknown if f.parameters["depends_on"].value]
+    fitted = [f for f in unexplained_findings if f.parameters["depends_on"].value]
     lines = ["A residual remains that no catalogued effect explains."]
     lines += ["A smooth function fits it; its cause is not identified."] if fitted else []
     lines += (
@@ -186,7 +180,7 @@ def unexplained_sentence(unknown: Sequence[FindingEntry]) -> str:
             "small: this recording does not distinguish "
             "which."
         ]
-        if len(fitted) < len(unknown)
+        if len(fitted) < len(unexplained_findings)
         else []
     )
     return " ".join(lines)
@@ -274,13 +268,13 @@ def _interval(p: Value) -> str:
     return f"{text}; at its bound" if p.at_bound is not None else text
 
 
-def finding_line(finding: FindingEntry, most_parameters_of_candidate: int = 6) -> str:
+def finding_line(finding: FindingEntry, max_numbers_per_parameter: int = 6) -> str:
     """Line on a finding for a terminal, in SI units.
 
-    most_parameters_of_candidate : numbers of a parameter that are printed; of more, how many there are
+    max_numbers_per_parameter : numbers of a parameter that are printed; of more, how many there are
     """
     return f"{finding.effect} at {finding.place}: " + ", ".join(
-        _printed(name, p, most_parameters_of_candidate) for name, p in finding.parameters.items()
+        _printed(name, p, max_numbers_per_parameter) for name, p in finding.parameters.items()
     )
 
 
@@ -317,33 +311,32 @@ def noise_factor_text(factor: Value) -> str:
     return f"{factor.value:.2f} ({low:.2f} to {high:.2f}) times"
 
 
-def noise_times_text(times: dict[str, Value]) -> str:
-    """Text on the factors (times) of the stated noise.
-
-    By which poses scatter more than is stated.
-    """
-    each = [f"{noise_factor_text(value)} in {kind}" for kind, value in times.items()]
+def noise_excess_text(noise_factors: dict[str, Value]) -> str:
+    """Text on the factors by which poses scatter more than is stated."""
+    each = [f"{noise_factor_text(value)} in {kind}" for kind, value in noise_factors.items()]
     return (
         f"the noise of the poses exceeds what is stated: {' and '.join(each)} (or something moves the machine at "
         "random, which these poses do not distinguish)"
     )
 
 
-def all_clear_sentence(crowd: Crowd | None, noise_from: str, noise_times: dict[str, Value]) -> str:
+def nothing_found_sentence(
+    outliers_not_excluded: Crowd | None, noise_source: str, noise_factors: dict[str, Value]
+) -> str:
     """Sentence on what it is worth that nothing was found.
 
     Nothing, where the noise is not stated.
     """
-    if crowd is not None:
-        return f"No catalogued effect was found, and {outliers_not_excluded_sentence(crowd)}."
-    if noise_from == ASSUMED_NOISE:
+    if outliers_not_excluded is not None:
+        return f"No catalogued effect was found, and {outliers_not_excluded_sentence(outliers_not_excluded)}."
+    if noise_source == ASSUMED_NOISE:
         return (
             "Nothing was found, which is inconclusive: the noise is not stated, and the residual of the poses "
             "was used instead. State it: "
             "position_sigma and rotation_sigma in [instrument] of rig.toml."
         )
-    if noise_times:
-        noise = as_sentence(noise_times_text(noise_times))
+    if noise_factors:
+        noise = as_sentence(noise_excess_text(noise_factors))
         return f"{noise} Nothing else is unmodelled: all was tested at that noise."
-    whence = ", estimated from the residuals of the corners: not stated" if noise_from == RESIDUALS else ""
+    whence = ", estimated from the residuals of the corners: not stated" if noise_source == RESIDUALS else ""
     return f"Nothing is unmodelled: the recording and the model of the rig agree within the noise{whence}."

@@ -164,7 +164,7 @@ def summary_sentence(report: Report) -> str:
         )
         left += f", correlated with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        clear = diagnosis_texts.all_clear_sentence(report.crowd, report.noise_from, report.noise_times)
+        clear = diagnosis_texts.nothing_found_sentence(report.crowd, report.noise_from, report.noise_times)
         return f"There is {left}." if left else clear
     main = report.mattering or report.named
     lines = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
@@ -230,7 +230,7 @@ def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
     if report.noise_from == ASSUMED_NOISE:
         missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
     if report.noise_times:
-        missing.append(MissingEvidence(diagnosis_texts.noise_times_text(report.noise_times), STATE_NOISE))
+        missing.append(MissingEvidence(diagnosis_texts.noise_excess_text(report.noise_times), STATE_NOISE))
     if report.left_out:
         count = len(report.left_out)
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"

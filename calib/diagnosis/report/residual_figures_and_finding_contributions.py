@@ -91,9 +91,9 @@ BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
 
 
 def residual_scatter_figure(
-    x: Floats, covariate_label: str, residuals_before_and_after: list[Floats], residual_label: str
+    covariate: Floats, covariate_label: str, residuals_before_and_after: list[Floats], residual_label: str
 ) -> str:
-    """Scatter figure of residuals before and after (m,) against a covariate x (m,).
+    """Scatter figure of residuals before and after (m,) against a covariate (m,).
 
     It shows those before also against what the effect explains.
     """
@@ -101,8 +101,8 @@ def residual_scatter_figure(
     explained = residuals_before_and_after[0] - residuals_before_and_after[1]
     ends = np.array([explained.min(), explained.max()])
     panes = (
-        (x, residuals_before_and_after[0], "without it", BEFORE, covariate_label, ()),
-        (x, residuals_before_and_after[1], "with it", AFTER, covariate_label, ()),
+        (covariate, residuals_before_and_after[0], "without it", BEFORE, covariate_label, ()),
+        (covariate, residuals_before_and_after[1], "with it", AFTER, covariate_label, ()),
         (
             explained,
             residuals_before_and_after[0],
@@ -199,11 +199,11 @@ def _in_pixels(model: LinearisedModel, image: Floats) -> Floats:
     return out
 
 
-def effect_residual_figures(refinement: Refinement, number: int) -> str:
+def effect_residual_figures(refinement: Refinement, effect_index: int) -> str:
     """Figures of the residuals of one admitted effect, without it and with it."""
-    k, effect = refinement.point, refinement.point.effects[number]
+    k, effect = refinement.point, refinement.point.effects[effect_index]
     (struts_before, image_before), (struts_after, image_after) = (
-        residuals_without_effects(refinement, (number,)),
+        residuals_without_effects(refinement, (effect_index,)),
         residuals_without_effects(refinement),
     )
     if not affects_images_only(effect):

@@ -85,10 +85,10 @@ class Outline:
         return svg_figure(int(tall + 2 * MARGIN), title, parts)
 
 
-def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
+def rig_outline_figure(point: OperatingPoint, marked_places: list[str]) -> str:
     """Figure of the rig's outline at the middle of its poses, places of findings marked."""
     k, drawn = point, Outline()
-    T, colour = k.T.mean(), _part_colours(places)
+    T, colour = k.T.mean(), _part_colours(marked_places)
     m = k.design.mechanism
     if isinstance(m, Hexapod):
         _hexapod(drawn, m, T, colour)
@@ -102,11 +102,11 @@ def rig_outline_figure(point: OperatingPoint, places: list[str]) -> str:
         _camera(drawn, camera, colour(str(Place("camera", camera.name)), "cameras"), T.translation)
     whole = [
         (place, MARKS[n % len(MARKS)])
-        for n, place in enumerate(places)
+        for n, place in enumerate(marked_places)
         if Place.parse(place).kind in ("rig", "clock", "cameras", "markers")
         or (Place.parse(place).is_axis and m.strut_joints is None)
     ]
-    return drawn.figure(f"the rig in outline, marked: {', '.join(places) or 'nothing'}", whole)
+    return drawn.figure(f"the rig in outline, marked: {', '.join(marked_places) or 'nothing'}", whole)
 
 
 def _part_colours(places: list[str]) -> Colour:

@@ -34,7 +34,11 @@ from calib.models.arm.certification import CertifiedArm
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
 from calib.models.arm.tilt_observations import tilt_report
-from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
+from calib.report.platform_and_lens_calibration_pages import (
+    evidence_html,
+    view_3d_html,
+    write_calibration_page_from_parts,
+)
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
@@ -89,7 +93,7 @@ def write_arm_calibration_page(
         *(paragraph_html(f"{line}.") for line in tilt_report(samples.tilts, certified.found.tilts)),
         folding_section_html("Every parameter's change", _arm_parameters(calibration)),
     ]
-    write_page_of_calibration(path, recording, calibration, parts, links)
+    write_calibration_page_from_parts(path, recording, calibration, parts, links)
 
 
 def _held(done: CertifiedArm) -> list[str]:

@@ -32,7 +32,7 @@ from calib.models.arm.identification_and_joint_profiles import (
     independent_arm_parameters,
     require_enough_observations,
 )
-from calib.models.arm.instrument_placement import place_arm
+from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     JointFit,
     held_out_geometry_errors,
@@ -263,7 +263,7 @@ def start_arm_of_fit(observations: Observations, nominal: Arm, instrument: Instr
     """Arm at which a fit starts: nominal, with base and tool as placed by the observations."""
     if instrument is None:
         return nominal
-    return place_arm(observations, nominal, instrument.base == "free", instrument.tool == "free")
+    return place_base_and_tool_of_arm(observations, nominal, instrument.base == "free", instrument.tool == "free")
 
 
 def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
@@ -277,7 +277,7 @@ def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Ins
     free[:6] = instrument.base == "free"
     for k in range(max(len(nominal.hands), 1)):
         placed = replace(placed, hand=k).with_ends(start.base, replace(start, hand=k).tool)
-        free[error_model_and_observations.tool_parameters(placed)] = instrument.tool == "free"
+        free[error_model_and_observations.tool_parameter_slice(placed)] = instrument.tool == "free"
     return identify_arm(observations, replace(placed, hand=nominal.hand), free, np.inf).arm
 
 

@@ -2,8 +2,8 @@
 
 Swapped joints, links, poses or frame conventions.
 
-Source: rotations as calib.models.arm.instrument_placement.solve_rotation_placement; positions by Kabsch in turn with
-the target's place
+Source: rotations as calib.models.arm.instrument_placement.solve_robot_world_hand_eye_rotations; positions by
+Kabsch in turn with the target's place
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,11 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import Observations, position_observations
-from calib.models.arm.instrument_placement import nearest_rotation, rigid_transform, solve_rotation_placement
+from calib.models.arm.instrument_placement import (
+    nearest_rotation,
+    rigid_transform,
+    solve_robot_world_hand_eye_rotations,
+)
 from rig.array_and_json_types import Floats, Integers
 from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_poses_csv_as_written
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
@@ -48,7 +52,7 @@ def _place_arm_roughly(q: Floats, T: RigidTransform, positions_only: bool, arm: 
     if not tool:
         return replace(arm, base=_middle(T * (links * arm.tool).inv()))
     F = links.rotation.as_matrix()
-    X, Z, _ = solve_rotation_placement(T.rotation.as_matrix(), F)
+    X, Z, _ = solve_robot_world_hand_eye_rotations(T.rotation.as_matrix(), F)
     A = np.concatenate([X @ F, np.tile(np.eye(3), (len(F), 1, 1))], axis=2).reshape(-1, 6)
     t = np.linalg.lstsq(A, (T.translation - links.translation @ X.T).ravel())[0]
     return arm.with_ends(tool=rigid_transform(Z, t[:3]), base=rigid_transform(X, t[3:]))
@@ -123,7 +127,9 @@ class ReachedPoses:
             own = np.diag(np.repeat(np.square(INSTRUMENT), 3))
             seen = Observations("pose", q, self.T, np.tile(own, (len(q), 1, 1)), np.zeros((len(q), 6, 0)))
         try:
-            found = instrument_placement.place_arm(seen, self.arm, free.base == "free", free.tool == "free")
+            found = instrument_placement.place_base_and_tool_of_arm(
+                seen, self.arm, free.base == "free", free.tool == "free"
+            )
         except RigError:
             return False
         moved = np.abs(

@@ -61,7 +61,7 @@ def parameter_units(arm: Arm) -> tuple[str, ...]:
     return tuple(end + ["rad", "m", "m", "rad", "rad"] * len(arm.joints) + ends)
 
 
-def tool_parameters(arm: Arm) -> slice:
+def tool_parameter_slice(arm: Arm) -> slice:
     """Slice of the tool's six among the parameters: of the hand that the arm is seen at."""
     start = 6 + 5 * len(arm.joints) + 6 * (len(arm.branches) + arm.hand)
     return slice(start, start + 6)
@@ -133,7 +133,7 @@ def _parameter_jacobian(q: Floats, arm: Arm) -> Floats:
             part = slice(6 + 5 * n + 6 * k, 12 + 5 * n + 6 * k)
             out[..., part, :] = _at_frame(at[..., :3], p - at[..., 3])
     out[..., :3], out[..., 3:] = out[..., :3] @ R, out[..., 3:] @ R
-    out[..., tool_parameters(arm), :] = np.eye(6)
+    out[..., tool_parameter_slice(arm), :] = np.eye(6)
     return np.swapaxes(out, -1, -2)
 
 

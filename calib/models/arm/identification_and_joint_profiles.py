@@ -26,7 +26,12 @@ from calib.identify.least_squares_and_robust_fit import excess_scatter
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, Rank
 from calib.models.arm.error_model_and_observations import parameter_rank as independent
-from calib.models.arm.tilt_observations import TiltRows, TiltWeights, link_turns_by_parameters, tilt_rows
+from calib.models.arm.tilt_observations import (
+    TiltRows,
+    TiltWeights,
+    link_rotation_jacobian_by_parameters,
+    tilt_equation_rows,
+)
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm
@@ -139,7 +144,7 @@ def _tilt_weights(observations: Observations, arm: Arm, fitted: int) -> TiltWeig
     """TiltWeights of tilt sensors' readings by what an arm leaves of them, `fitted` numbers fitted to all; or None."""
     if observations.tilts is None:
         return None
-    rows = tilt_rows(observations.tilts, observations.q, arm)
+    rows = tilt_equation_rows(observations.tilts, observations.q, arm)
     numbers = rows.residuals.size + observations.covariance.shape[1] * len(observations)
     return rows.weights((fitted + len(rows.mounting)) / numbers)
 
@@ -152,9 +157,9 @@ def whitened_tilt_rows_and_columns(
     Returns (TiltRows, columns (r, p) of the arm's parameters) of the sensors beside observations
     """
     assert observations.tilts is not None
-    rows = tilt_rows(observations.tilts, observations.q, arm)
+    rows = tilt_equation_rows(observations.tilts, observations.q, arm)
     J = error_model_and_observations.parameter_jacobian(observations.q, arm)
-    turned = link_turns_by_parameters(observations.tilts, observations.q, arm, J)
+    turned = link_rotation_jacobian_by_parameters(observations.tilts, observations.q, arm, J)
     return rows, rows.whitened_columns(weights, turned)
 
 

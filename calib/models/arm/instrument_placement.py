@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.error_model_and_observations import Observations, tool_parameters
+from calib.models.arm.error_model_and_observations import Observations, tool_parameter_slice
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.hands_effect_places_and_tolerances import selected_hand_name
@@ -58,11 +58,10 @@ class Placement:
     left: float
 
 
-def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
-    """Arm placed by observations.
-
-    Base and tool solved for.
-    base, tool : whether they are unknown
+def place_base_and_tool_of_arm(
+    observations: Observations, arm: Arm, is_base_unknown: bool, is_tool_unknown: bool
+) -> Arm:
+    """Arm with its base and tool solved for, each where it is unknown, from observations.
 
     Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
     closed form is as stated, and so is where on the hand a direction is seen.
@@ -70,12 +69,12 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
     Raises NotEnoughData for too few observations, RigError where no placement fits or two
     different ones fit alike
     """
-    if not (base or tool):
+    if not (is_base_unknown or is_tool_unknown):
         return arm
     if observations.hand is not None:  # the first measured hand places the base, which then holds for the others
         for k, number in enumerate(np.unique(observations.hand).tolist()):
             own = replace(observations.take(observations.hand == number), hand=None)
-            arm = place_arm(own, arm.of_hand(number), base and not k, tool)
+            arm = place_base_and_tool_of_arm(own, arm.of_hand(number), is_base_unknown and not k, is_tool_unknown)
         return arm.of_hand(0)
     if len(observations) < LEAST[observations.kind]:
         of_hand = f" of the hand {selected_hand_name(arm)!r}" if arm.hands else ""
@@ -85,35 +84,43 @@ def place_arm(observations: Observations, arm: Arm, base: bool, tool: bool) -> A
         )
     if observations.kind == "distance":
         links = mechanism.forward(observations.q, arm.with_ends(base=RigidTransform.identity()))
-        return _from_distances(observations.value, links, arm) if base else arm
+        return _from_distances(observations.value, links, arm) if is_base_unknown else arm
     if observations.kind == "orientation":
-        return _from_orientations(observations, arm, base, tool)
+        return _from_orientations(observations, arm, is_base_unknown, is_tool_unknown)
     if observations.kind == "direction":
-        return _from_directions(observations, arm) if base else arm
+        return _from_directions(observations, arm) if is_base_unknown else arm
     some, few = _spread(observations, LOOKED_AT), _spread(observations, ROUGHLY[0])
     rows = arm.rows
     rough = sorted(
-        (_refined(few, start, rows, (base, tool), ROUGHLY[1]) for start in _starts(some, arm, base, tool)),
+        (
+            _refined(few, start, rows, (is_base_unknown, is_tool_unknown), ROUGHLY[1])
+            for start in _starts(some, arm, is_base_unknown, is_tool_unknown)
+        ),
         key=lambda p: p.left,
     )
     found = sorted(
-        (_refined(some, one.arm, rows, (base, tool), STEPS) for one in rough[:LEADING]), key=lambda p: p.left
+        (_refined(some, one.arm, rows, (is_base_unknown, is_tool_unknown), STEPS) for one in rough[:LEADING]),
+        key=lambda p: p.left,
     )
     best = found[0]
     if not best.left < FITS:
-        hint = "" if base and tool else f' Or is [instrument] {"tool" if base else "base"} unknown as well ("free")?'
+        hint = (
+            ""
+            if is_base_unknown and is_tool_unknown
+            else f' Or is [instrument] {"tool" if is_base_unknown else "base"} unknown as well ("free")?'
+        )
         raise RigError(
-            f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves "
-            f"{best.left * 1e3:.0f} mm "
-            "(median). Are these the joint angles of these poses, in this order, with these signs and zeros (within "
-            f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?{hint}"
+            f"no place of {_unknown(is_base_unknown, is_tool_unknown)} fits: the best of {len(rough)} starts still "
+            f"leaves {best.left * 1e3:.0f} mm (median). Are these the joint angles of these poses, in this "
+            f"order, with these signs and zeros (within {ZERO} rad), and are [mechanism] joints the maker's "
+            f"figures, in metres and radians?{hint}"
         )
     for other in found[1:]:
         if other.left < TWOFOLD * best.left + 1e-6 and not _same(other.arm, best.arm):
             raise RigError(
-                f"{_unknown(base, tool)} can be located in two ways that fit equally well ({best.left * 1e3:.2f} and "
-                f"{other.left * 1e3:.2f} mm, "
-                "median): the poses differ too little; move every joint, or state one of the two poses"
+                f"{_unknown(is_base_unknown, is_tool_unknown)} can be located in two ways that fit equally well "
+                f"({best.left * 1e3:.2f} and {other.left * 1e3:.2f} mm, median): the poses differ too "
+                "little; move every joint, or state one of the two poses"
             )
     return best.arm
 
@@ -195,7 +202,7 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     maker's rows (n, 5).
     """
     posed = observations.kind == "pose"
-    count, tool = len(error_model_and_observations.parameter_names(arm)), tool_parameters(arm)
+    count, tool = len(error_model_and_observations.parameter_names(arm)), tool_parameter_slice(arm)
     free, prior = np.zeros(count, bool), np.zeros(count)
     free[:6], free[tool] = unknown
     free[tool.stop - 3 : tool.stop] &= posed
@@ -251,7 +258,7 @@ class _Misfit:
         size = np.linalg.norm(r, axis=1)
         scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
         moved = np.zeros(len(prior))
-        moved[:6], moved[tool_parameters(arm)] = log(start.base.inv() * arm.base), log(start.tool.inv() * arm.tool)
+        moved[:6], moved[tool_parameter_slice(arm)] = log(start.base.inv() * arm.base), log(start.tool.inv() * arm.tool)
         moved[6 : 6 + rows.size] = (arm.rows - rows).ravel()
         return cls(r, prior * moved, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
 
@@ -299,7 +306,7 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     assert isinstance(value, RigidTransform)
     M, X, Z = value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
     if base and tool:
-        X, Z, determined = solve_rotation_placement(M, F)
+        X, Z, determined = solve_robot_world_hand_eye_rotations(M, F)
         if determined < TELLS:
             raise RigError(
                 "orientations of a hand that turns about one axis only leave a family of poses of base and "
@@ -332,7 +339,7 @@ def _from_directions(observations: Observations, arm: Arm) -> Arm:
     return replace(arm, base=rigid_transform(X, arm.base.translation))
 
 
-def solve_rotation_placement(M: Floats, F: Floats) -> tuple[Floats, Floats, float]:
+def solve_robot_world_hand_eye_rotations(M: Floats, F: Floats) -> tuple[Floats, Floats, float]:
     """Solve M = X F Z for the rotations X and Z, of rotations M and F (m, 3, 3).
 
     The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J.

@@ -28,7 +28,7 @@ from calib.models.arm.identification_and_joint_profiles import (
     independent_arm_parameters,
     whitened_tilt_rows_and_columns,
 )
-from calib.models.arm.tilt_observations import TiltWeights, link_turns_by_joints, tilt_rows
+from calib.models.arm.tilt_observations import TiltWeights, link_rotation_jacobian_by_joints, tilt_equation_rows
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
@@ -219,8 +219,11 @@ class WhitenedSamples:
         if self.tilts is None:
             return self._padded(seen)
         readings, weights = self.tilts
-        turned = link_turns_by_joints(readings, self.q, self.arm) @ columns.joints[:, None] + columns.lean[:, None]
-        return self._padded(seen, tilt_rows(readings, self.q, self.arm).whitened_columns(weights, turned))
+        turned = (
+            link_rotation_jacobian_by_joints(readings, self.q, self.arm) @ columns.joints[:, None]
+            + columns.lean[:, None]
+        )
+        return self._padded(seen, tilt_equation_rows(readings, self.q, self.arm).whitened_columns(weights, turned))
 
     def left(self, samples: Samples) -> Floats:
         """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
@@ -228,7 +231,7 @@ class WhitenedSamples:
         seen = (self.W @ o.residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
         lower = np.zeros((0, 1))
         if self.tilts is not None and o.tilts is not None:
-            lower = tilt_rows(o.tilts, o.q, self.arm).whitened_residuals(self.tilts[1])[:, None]
+            lower = tilt_equation_rows(o.tilts, o.q, self.arm).whitened_residuals(self.tilts[1])[:, None]
         r = self._padded(seen, lower)[:, 0]
         return r - self.basis @ (self.basis.T @ r)
 

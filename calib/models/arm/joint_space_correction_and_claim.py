@@ -114,7 +114,7 @@ def commanded_minus_joint_values_of_measured_poses(
     )
 
 
-def certify_extended_arm(
+def certify_extended_arm_correction(
     samples: Samples,
     nominal: Arm,
     instrument: Instrument | None,

@@ -184,7 +184,7 @@ def pointing_terms_of_parameters(
     return PointingTerms(mount, tuple(names), tuple(table[name][0] for name in names), values, sigma, tuple(lines))
 
 
-def term_jacobian(q: Floats, arm: Arm) -> tuple[tuple[str, ...], Floats]:
+def pointing_term_jacobian(q: Floats, arm: Arm) -> tuple[tuple[str, ...], Floats]:
     """Change (n, 6, t) of the hand's tangent with each pointing term, and their names.
 
     At commands q (n, 2), with its turn about x and y.

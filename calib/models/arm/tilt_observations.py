@@ -83,7 +83,7 @@ class TiltRows:
         return np.pad(rows, ((0, len(self.mounting)), (0, 0)))
 
 
-def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
+def tilt_equation_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
     """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
     sensors = readings.sensors
     links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
@@ -99,7 +99,7 @@ def tilt_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
     return TiltRows(readings, residuals, turns, mounting, sigma, columns)
 
 
-def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:
+def link_rotation_jacobian_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:
     """Turns (n, s, 3, p) rad of the sensors' links by an arm's parameters.
 
     About the axes of the frame of poses.
@@ -111,7 +111,7 @@ def link_turns_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_j
     return np.stack([whole * (number < 6 + 5 * sensor.link) for sensor in readings.sensors], axis=1)
 
 
-def link_turns_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
+def link_rotation_jacobian_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
     """Turns (n, s, 3, joints) of the sensors' links by the joints.
 
     In rad per rad of each joint.
@@ -133,7 +133,7 @@ def planned_tilt_jacobian(
     angles = np.stack([sensor.shown(links[:, k], down) for k, sensor in enumerate(sensors)], axis=1)
     readings = TiltReadings(sensors, angles, down)
     _, turns, mounting = linearised_tilts(readings, links, np.zeros(3 + 3 * len(sensors)))
-    turned = turns @ link_turns_by_parameters(readings, q, arm, pose_jacobian)
+    turned = turns @ link_rotation_jacobian_by_parameters(readings, q, arm, pose_jacobian)
     columns = np.concatenate([turned, mounting], axis=3) * readings.usable[..., None, None]
     return columns.reshape(len(q), 2 * len(sensors), -1)
 

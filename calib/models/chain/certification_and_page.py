@@ -44,7 +44,11 @@ from calib.correction.correction import AnyCorrection, Correction, solvable_comm
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
 from calib.models.chain import error_model_and_identification
 from calib.models.chain.error_model_and_identification import Identified, identify_chain
-from calib.report.platform_and_lens_calibration_pages import evidence_html, view_3d_html, write_page_of_calibration
+from calib.report.platform_and_lens_calibration_pages import (
+    evidence_html,
+    view_3d_html,
+    write_calibration_page_from_parts,
+)
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
@@ -133,7 +137,7 @@ def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     return covariance + (axes * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(axes, 1, 2)
 
 
-def chain_workspace_values(correction: AnyCorrection, commanded: Floats) -> tuple[Floats, RigidTransform]:
+def chain_workspace_values_and_poses(correction: AnyCorrection, commanded: Floats) -> tuple[Floats, RigidTransform]:
     """Values (n, axes) m or rad over the middle of every travel, all axes independent, and their poses (n,); where a
     correction is extended, over the middle of what was commanded (m, axes).
     """
@@ -164,7 +168,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
         return empty_claim_of_too_few_configurations(information, words)
     if certified.correction.extension is not None and certified.left is None:
         return empty_claim_without_held_out_data(information, words)
-    values, T = chain_workspace_values(certified.correction, samples.commanded)
+    values, T = chain_workspace_values_and_poses(certified.correction, samples.commanded)
     stated = mean_square_pose_errors_of_extension(certified.correction, values, mechanism.jacobian(values, found.chain))
     own = (
         (found.scatter**2).reshape(2, 3).sum(axis=1) + stated
@@ -209,7 +213,7 @@ def write_chain_calibration_page(
         heading_html("Positions of the last platform"),
         pose_coverage_figures(pose_to_vector(samples.T_base_platform)),
     ]
-    write_page_of_calibration(path, recording, calibration, parts, links)
+    write_calibration_page_from_parts(path, recording, calibration, parts, links)
 
 
 def _chain_parameters(done: CertifiedChain) -> str:

@@ -25,7 +25,7 @@ from calib.certification.platform_certification import FOLDS, Progress, silent_p
 from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
-from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_values
+from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_values_and_poses
 from calib.models.chain.error_model_and_identification import (
     Identified,
     identify_chain,
@@ -68,7 +68,7 @@ def _field_samples(samples: Samples, chain: Chain) -> FieldSamples:
     return FieldSamples(samples.commanded, known.values, variances, ranges)
 
 
-def certify_extended_chain(
+def certify_extended_chain_correction(
     samples: Samples,
     nominal: Chain,
     request: ExtensionRequest,
@@ -115,7 +115,7 @@ def certify_extended_chain(
         configuration_folds(label, min(FOLDS, label.max() + 1)),
     )
     left = replace(done.left, parameters=absorbed)
-    values, _ = chain_workspace_values(correction, samples.commanded)
+    values, _ = chain_workspace_values_and_poses(correction, samples.commanded)
     inside = np.ones(len(values), bool) if correction.extension is None else correction.extension.inside(values)
     values = values[inside] if inside.any() else values  # beyond the samples the extension states an error itself
     stated = mean_square_pose_errors_of_extension(correction, values, mechanism.jacobian(values, found.chain))
@@ -124,13 +124,13 @@ def certify_extended_chain(
     return CertifiedChain(correction, found, label, done.held_out, left), tried
 
 
-def single_step_chain_errors(correction: AnyCorrection, commanded: Floats) -> tuple[float, float]:
+def single_step_chain_correction_errors(correction: AnyCorrection, commanded: Floats) -> tuple[float, float]:
     """Position errors (RMS, greatest) m of a chain's correction in a single step, as its axes have different units,
-    over the places of `chain_workspace_values`. commanded : (n, axes)
+    over the places of `chain_workspace_values_and_poses`. commanded : (n, axes)
 
     The single step is X + KSF(X). Source: configuration-space patent, [0030], [0091]
     """
-    _, wanted = chain_workspace_values(correction, commanded)
+    _, wanted = chain_workspace_values_and_poses(correction, commanded)
     missed = pose_difference(correction.predict(correction.single_step(wanted)), wanted)
     off = np.linalg.norm(missed[:, :3], axis=1)
     return float(np.sqrt((off**2).mean())), float(off.max())

@@ -262,12 +262,12 @@ def linearised_loops_of_more_than_six_struts(
     )
 
 
-def loop_covariance(A: Floats, covariance: Floats) -> Floats:
-    """Covariance (n, axes, axes) m^2 that poses' covariance (n, 6, 6) gives loops of a Jacobian A (n, axes, 6)."""
-    return covariance_with_length_resolution(A @ covariance @ np.swapaxes(A, 1, 2))
+def loop_covariance(loop_jacobian: Floats, covariance: Floats) -> Floats:
+    """Covariance (n, axes, axes) m^2 that poses' covariance (n, 6, 6) gives loops of a Jacobian (n, axes, 6)."""
+    return loop_covariance_with_length_resolution(loop_jacobian @ covariance @ np.swapaxes(loop_jacobian, 1, 2))
 
 
-def covariance_with_length_resolution(covariance: Floats) -> Floats:
+def loop_covariance_with_length_resolution(covariance: Floats) -> Floats:
     """Covariance (n, axes, axes) m^2 of loops with how finely lengths are known: READING where more loops than six have
     combinations that no pose moves, which nothing else bounds.
     """
@@ -275,15 +275,17 @@ def covariance_with_length_resolution(covariance: Floats) -> Floats:
     return covariance + READING**2 * np.eye(axes) if axes > 6 else covariance
 
 
-def scatter_of_redundant_struts(left: Floats, A: Floats, spent: int) -> Floats:
+def scatter_of_redundant_struts(loop_residuals: Floats, strut_jacobian: Floats, fitted_pose_count: int) -> Floats:
     """Scatter (struts,) m of more than six struts, all alike, by the combinations of loops that no pose moves.
 
-    left : (n, struts) m, what loops leave at a fit; A : (n, struts, 6) the struts' Jacobian; spent : how many poses'
-    worth of parameters were fitted
+    loop_residuals : (n, struts) m, what loops leave at a fit; strut_jacobian : (n, struts, 6) the struts' Jacobian;
+    fitted_pose_count : how many poses' worth of parameters were fitted
     """
-    free = np.linalg.svd(A)[0][:, :, 6:]
-    square = (np.einsum("nij,ni->nj", free, left) ** 2).mean() / max(1 - spent / len(left), 0.1)
-    return np.full(left.shape[1], np.sqrt(max(float(square) - READING**2, 0.0)))
+    free = np.linalg.svd(strut_jacobian)[0][:, :, 6:]
+    square = (np.einsum("nij,ni->nj", free, loop_residuals) ** 2).mean() / max(
+        1 - fitted_pose_count / len(loop_residuals), 0.1
+    )
+    return np.full(loop_residuals.shape[1], np.sqrt(max(float(square) - READING**2, 0.0)))
 
 
 def _poses_of_lengths(samples: Samples, lengths: Floats, mechanism: Parallel) -> RigidTransform:

@@ -44,9 +44,11 @@ class Combination:
         return self.sigma < PLAUSIBLE
 
 
-def parameter_combinations(root: Floats, mechanism: Parallel) -> tuple[tuple[Combination, ...], Visibility]:
+def parameter_combinations_and_visibility(
+    information_root: Floats, mechanism: Parallel
+) -> tuple[tuple[Combination, ...], Visibility]:
     """Parameter combinations, worst determined first, and Visibility, by the information's root (p, p) 1/m."""
-    seen: Visibility = parameter_visibility(root, np.full(root.shape[1], PLAUSIBLE))
+    seen: Visibility = parameter_visibility(information_root, np.full(information_root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
     with np.errstate(divide="ignore"):
         sigma = PLAUSIBLE / seen.singular
@@ -55,9 +57,9 @@ def parameter_combinations(root: Floats, mechanism: Parallel) -> tuple[tuple[Com
     ), seen
 
 
-def standard_error_along(root: Floats, direction: Floats) -> float:
+def standard_error_along(information_root: Floats, direction: Floats) -> float:
     """Standard error (m) along a direction (p,) for the information's square root."""
-    return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
+    return float(np.linalg.norm(np.linalg.solve(information_root.T, direction)))
 
 
 def frame_motion_columns(mechanism: Hexapod) -> Floats:

@@ -95,22 +95,30 @@ def choose_d_optimal_configurations(
 
 
 def choose_configurations_by_exchange(
-    G: Floats, M0: Floats, count: int, criterion: str, progress: Callable[[int, int], None] | None = None
+    whitened_jacobians: Floats,
+    prior_information: Floats,
+    count: int,
+    criterion: str,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[int]:
-    """Choose `count` candidates of whitened rows G (c, m, p) by exchange: those that add most to information M0."""
+    """Choose `count` candidates of whitened rows (c, m, p) by exchange: those that add most to prior information."""
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
-        M = M0 + total_information(G, picked)
-        picked.append(int(np.argmax(_determinant(M + np.eye(G.shape[2]), G)[1])))
+        M = prior_information + total_information(whitened_jacobians, picked)
+        picked.append(int(np.argmax(_determinant(M + np.eye(whitened_jacobians.shape[2]), whitened_jacobians)[1])))
         if progress:
             progress(k + 1, count * (1 + PASSES))
     for turn in range(PASSES):
         moved = 0
         for k in range(count):
             rest = picked[:k] + picked[k + 1 :]
-            M = M0 + total_information(G, rest) + 1e-9 * np.eye(G.shape[2])
-            now, values = gain(M, G, picked[k])
+            M = (
+                prior_information
+                + total_information(whitened_jacobians, rest)
+                + 1e-9 * np.eye(whitened_jacobians.shape[2])
+            )
+            now, values = gain(M, whitened_jacobians, picked[k])
             best = int(np.argmax(values))
             if values[best] > now + PAYS * abs(now):
                 picked[k], moved = best, moved + 1
@@ -170,9 +178,9 @@ def configurations_outside_exclusion(commands: Floats, exclusion: ConfigurationE
     return retained
 
 
-def total_information(G: Floats, picked: list[int] | Floats) -> Floats:
-    """Total information (p, p) of the picked (k,) candidates with whitened rows G (c, m, p)."""
-    rows = G[picked].reshape(-1, G.shape[2])
+def total_information(whitened_jacobians: Floats, picked: list[int] | Floats) -> Floats:
+    """Total information (p, p) of the picked (k,) candidates with whitened rows (c, m, p)."""
+    rows = whitened_jacobians[picked].reshape(-1, whitened_jacobians.shape[2])
     return rows.T @ rows
 
 

@@ -157,7 +157,7 @@ def parse_tolerance(text: str) -> tuple[str, float]:
     return kind, float(found[1]) * scale
 
 
-def length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
+def parse_length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
     """Tolerances (m, rad) of an option that takes a length and an angle.
 
     50um 0.2mrad, or two figures in m and rad.
@@ -193,7 +193,7 @@ def parse_numbers(texts: list[str], count: int, option: str) -> list[float]:
     return found
 
 
-def require_share(speed: float) -> float:
+def require_share_of_greatest_speed(speed: float) -> float:
     """Require a share of the greatest speed to lie within (0, 1].
 
     Raises RigError for anything else

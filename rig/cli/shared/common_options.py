@@ -99,16 +99,16 @@ def add_overwrite_option(parser: ArgumentParser, name: str = "--force") -> None:
     )
 
 
-def add_units_option(parser: ArgumentParser, what: str) -> None:
+def add_units_option(parser: ArgumentParser, quantities_text: str) -> None:
     """Add the option --units of lengths and angles.
 
-    what : has them, in words
+    quantities_text : has them, in words
     """
     parser.add_argument(
         "--units",
         metavar="mm,deg",
         type=_parse_units,
-        help=f"units of lengths (m, mm, cm, um, in) and angles (rad, deg, mrad) {what} (default m,rad)",
+        help=f"units of lengths (m, mm, cm, um, in) and angles (rad, deg, mrad) {quantities_text} (default m,rad)",
     )
 
 

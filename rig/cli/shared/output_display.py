@@ -47,7 +47,7 @@ class EscapedStream:
 
 
 @contextmanager
-def escaped_output() -> Iterator[None]:
+def escape_control_characters_in_output() -> Iterator[None]:
     """Escape control characters in standard output and error (context manager).
 
     Either stream may be absent.

@@ -184,7 +184,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
-        accepted_limbs_file.accepted_limbs(tmp_path / "first.json", _with_limbs(tmp_path, 6))
+        accepted_limbs_file.load_accepted_limbs_for_design(tmp_path / "first.json", _with_limbs(tmp_path, 6))
     assert measuring_limb_poses_checked_by_vision.limb_poses(
         read, accepted_limbs_file.load_limbs(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)

@@ -10,7 +10,7 @@ import pytest
 from calib.api.next_experiment import evaluate_experiment
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_planned_poses
-from calib.experiment.arm_questions_and_predicted_recording import arm_questions
+from calib.experiment.arm_questions_and_predicted_recording import open_questions_of_arm_diagnosis
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -67,7 +67,7 @@ def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
 
 def test_what_names_foretell_differs_as_the_machine_does(found):
     read, d = found
-    (question,) = arm_questions(d)
+    (question,) = open_questions_of_arm_diagnosis(d)
     assert {h.title for h in question.hypotheses} == {
         "backlash at joint 2",
         "hysteresis at joint 2",
@@ -124,7 +124,7 @@ def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balance
     names open.
     """
     read, d = found
-    questions = arm_questions(d)
+    questions = open_questions_of_arm_diagnosis(d)
     turning, standing = (evaluate_experiment(questions, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
     assert min(turning.settles, standing.settles) > 0.9 and min(turning.bits, standing.bits) > 0.5
 

@@ -67,14 +67,14 @@ def slipped(read, limb, by, at):
 def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     path = tmp_path / "limbs.json"
     accepted_limbs_file.save_limbs(path, accepted)
-    back = accepted_limbs_file.accepted_limbs(path, limbed[0])
+    back = accepted_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
     np.testing.assert_array_equal(back.limbs.covariance, accepted.limbs.covariance)
     np.testing.assert_array_equal(back.limbs.hexapod.base_joints, accepted.limbs.hexapod.base_joints)
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
     accepted_limbs_file.save_limbs(path, accepted_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
-        accepted_limbs_file.accepted_limbs(path, limbed[0])
+        accepted_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
 
 
 @pytest.mark.parametrize(
@@ -128,11 +128,13 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
     with pytest.raises(
         RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"
     ):
-        accepted_limbs_file.accepted_limbs(path, replace(design, insitu=replace(design.insitu, base_joints=moved)))
+        accepted_limbs_file.load_accepted_limbs_for_design(
+            path, replace(design, insitu=replace(design.insitu, base_joints=moved))
+        )
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
     accepted_limbs_file.save_limbs(path, replace(accepted, agreement=refused))
     with pytest.raises(RigError, match="did not pass"):
-        accepted_limbs_file.accepted_limbs(path, design)
+        accepted_limbs_file.load_accepted_limbs_for_design(path, design)
 
 
 @pytest.mark.slow

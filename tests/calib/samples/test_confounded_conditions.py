@@ -5,7 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions_and_clocks import DIRECTION, LOAD, TIME, Confounds, confounds_of_design
+from calib.samples.confounded_conditions_and_clocks import (
+    DIRECTION,
+    LOAD,
+    TIME,
+    Confounds,
+    confounds_of_experimental_design,
+)
 from rig.recording.recording_folder import PAYLOAD
 
 AXES = tuple(f"strut {i + 1}" for i in range(6))
@@ -22,9 +28,9 @@ def _causes(found: Confounds) -> set[tuple[str, str]]:
 
 def test_a_direction_that_is_the_half_of_the_stroke_is_a_confound_and_a_random_one_is_none() -> None:
     values, direction, t = _design()
-    assert not confounds_of_design(values, direction, t, {}, AXES).serious
+    assert not confounds_of_experimental_design(values, direction, t, {}, AXES).serious
     direction[:, 2:5] = np.sign(values[:, 2:5])
-    found = confounds_of_design(values, direction, t, {}, AXES)
+    found = confounds_of_experimental_design(values, direction, t, {}, AXES)
     assert _causes(found) == {(DIRECTION, axis) for axis in AXES[2:5]}
     assert "100 % a function of place on struts 3-5: play and place cannot be separated" in found.line()
     assert json.loads(json.dumps(found.tree()))["serious"] == [f"direction of approach on {axis}" for axis in AXES[2:5]]
@@ -37,13 +43,13 @@ def test_what_goes_with_place_is_a_confound(name: str, cause: str) -> None:
     values, direction, t = _design()
     slope = 20.0 + 100.0 * values[:, 0]
     channels = {} if name == "t" else {name: slope}
-    found = confounds_of_design(values, direction, 1e3 * slope if name == "t" else t, channels, AXES)
+    found = confounds_of_experimental_design(values, direction, 1e3 * slope if name == "t" else t, channels, AXES)
     assert {row.cause for row in found.serious} == {cause}
 
 
 def test_a_serpentine_grid_confounds_time_and_direction() -> None:
     levels = np.array(np.meshgrid(*[[-1.0, 1.0]] * 6, indexing="ij")).reshape(6, -1).T
-    found = confounds_of_design(levels, np.sign(levels), 5.0 * np.arange(len(levels)), {}, AXES)
+    found = confounds_of_experimental_design(levels, np.sign(levels), 5.0 * np.arange(len(levels)), {}, AXES)
     assert {row.cause for row in found.serious} == {DIRECTION, TIME}
 
 
@@ -53,7 +59,7 @@ def test_chance_is_no_confound_however_few_the_poses() -> None:
     """
     shares, chances, accused = [], [], 0
     for seed in range(200):
-        found = confounds_of_design(*_design(12 + seed % 49, seed), {}, AXES)
+        found = confounds_of_experimental_design(*_design(12 + seed % 49, seed), {}, AXES)
         accused += bool(found.serious)
         shares += [row.share for row in found.rows]
         chances += [row.chance for row in found.rows]
@@ -64,7 +70,7 @@ def test_chance_is_no_confound_however_few_the_poses() -> None:
 def test_what_never_varied_is_named_and_too_few_poses_state_nothing() -> None:
     values, direction, t = _design()
     direction[:, 0] = 1.0
-    found = confounds_of_design(values, direction, t, {PAYLOAD: np.zeros(40)}, AXES)
+    found = confounds_of_experimental_design(values, direction, t, {PAYLOAD: np.zeros(40)}, AXES)
     assert found.constant == (f"{DIRECTION} on strut 1", LOAD)
-    few = confounds_of_design(values[:4], direction[:4], t[:4], {}, AXES)
+    few = confounds_of_experimental_design(values[:4], direction[:4], t[:4], {}, AXES)
     assert not few.rows and few.unjudged and "none can be estimated from 4 poses" in few.line()

@@ -19,7 +19,7 @@ import pytest
 from rig.cli import command_line as cli
 from rig.cli.command_line import command_line_parser, main
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, GROUPS
-from rig.cli.shared.argument_parsing import join_negative_numbers, length_and_angle, nearest_word
+from rig.cli.shared.argument_parsing import join_negative_numbers, nearest_word, parse_length_and_angle
 from rig.cli.shared.output_display import Progress, progress_line
 from rig.compute import installation_inventory
 from rig.effects.catalogue.effect_list import ALL
@@ -120,9 +120,9 @@ def test_a_family_without_its_second_word_says_which_there_are(capsys):
 def test_a_tolerance_is_a_length_and_an_angle_in_any_order(words, found):
     if isinstance(found, str):
         with pytest.raises(RigError, match=found):
-            length_and_angle(words)
+            parse_length_and_angle(words)
     else:
-        assert length_and_angle(words) == pytest.approx(found)
+        assert parse_length_and_angle(words) == pytest.approx(found)
 
 
 def test_every_command_has_a_file_and_help():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.samples.confounded_conditions_and_clocks import confounds_of_design
+from calib.samples.confounded_conditions_and_clocks import confounds_of_experimental_design
 from calib.samples.exposure_conditions import approach_direction
 from rig.cli.command_line import main
 from rig.formats.csv_and_parquet_tables_and_time_origin import read_csv_table
@@ -35,7 +35,9 @@ def test_what_a_written_plan_does_depends_on_no_place(rig_file, tmp_path, capsys
     design = load_design(rig_file)
     run = build_plan(design, f"commands:{out}")
     places = mechanisms.axis_place_texts(design.mechanism)
-    found = confounds_of_design(run.commands.at(run.t), approach_direction(run.commands, run.t), run.t, {}, places)
+    found = confounds_of_experimental_design(
+        run.commands.at(run.t), approach_direction(run.commands, run.t), run.t, {}, places
+    )
     directions = [row for row in found.rows if row.cause == "direction of approach"]
     assert len(directions) == 6 and not found.serious
     assert max(row.share - row.chance for row in directions) < 0.1

@@ -5,7 +5,7 @@ count, same from run to run.
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_design
+from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_experimental_design
 from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -30,7 +30,7 @@ SCATTERED = (
 def _confounds(design: Design, text: str, seed: int) -> Confounds:
     found = plan.build_plan(design, text, seed)
     mass = found.payload[np.searchsorted(found.payload[:, 0], found.t, side="right") - 1, 1]
-    return confounds_of_design(
+    return confounds_of_experimental_design(
         found.commands.at(found.t),
         approach_direction(found.commands, found.t),
         found.t,

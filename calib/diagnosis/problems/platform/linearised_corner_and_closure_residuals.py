@@ -23,8 +23,8 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     split_rows_by_frame_bases,
 )
 from calib.models.platform.closed_loop_equations import (
-    covariance_with_length_resolution,
     loop_covariance,
+    loop_covariance_with_length_resolution,
     scatter_of_redundant_struts,
 )
 from calib.models.platform.identification import PRIOR
@@ -266,7 +266,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None)
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        covariance = covariance_with_length_resolution(to_length @ np.swapaxes(to_length, 1, 2))
+        covariance = loop_covariance_with_length_resolution(to_length @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [

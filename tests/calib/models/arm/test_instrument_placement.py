@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, position_observations, sample_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm
-from calib.models.arm.instrument_placement import place_arm
+from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
@@ -70,7 +70,7 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
 def missed(seed: int) -> float:
     """m, the greatest error at fresh poses of the arm identified from where it was placed."""
     nominal, true, _, seen, fresh = case(seed)
-    found = identify_arm(seen, place_arm(seen, nominal, True, True))
+    found = identify_arm(seen, place_base_and_tool_of_arm(seen, nominal, True, True))
     return float(
         np.linalg.norm(
             error_model_and_observations.predicted_target_poses(fresh, found.arm).translation
@@ -99,7 +99,7 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
         seen = sample_observations(
             Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0)))
         )
-        start = place_arm(seen, UR10, True, True)
+        start = place_base_and_tool_of_arm(seen, UR10, True, True)
         assert np.linalg.norm(start.base.translation) < 5 and np.linalg.norm(start.tool.translation) < 2
         assert (identify_arm(seen, start).scatter < 0.5 * np.repeat(SIGMA, 3)).all(), "geometry explains all but noise"
 
@@ -121,7 +121,7 @@ def test_what_no_placement_explains_is_refused(spoil):
     else:
         q = np.degrees(q)
     with pytest.raises(RigError, match=r"no place of base and tool fits: the best of \d+ starts still leaves \d+ mm"):
-        place_arm(replace(seen, q=q), nominal, True, True)
+        place_base_and_tool_of_arm(replace(seen, q=q), nominal, True, True)
 
 
 def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
@@ -137,4 +137,4 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
         1e-5,
     )
     with pytest.raises(RigError, match="base and tool can be located in two ways that fit equally well"):
-        place_arm(seen, UR10, True, True)
+        place_base_and_tool_of_arm(seen, UR10, True, True)

@@ -53,7 +53,7 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = leaning(true, nominal, 60, rng)
-        found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
+        found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
         assert (
             found.rank.free.sum()
             == independent_arm_parameters(nominal, "orientation").sum()
@@ -78,10 +78,10 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
     rng = np.random.default_rng(3)
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
     with pytest.raises(RigError, match="family of poses"):
-        instrument_placement.place_arm(
+        instrument_placement.place_base_and_tool_of_arm(
             replace(seen, value=error_model_and_observations.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
         )
-    one = instrument_placement.place_arm(seen, replace(SCARA, tool=worlds.TOOL), True, False)
+    one = instrument_placement.place_base_and_tool_of_arm(seen, replace(SCARA, tool=worlds.TOOL), True, False)
     assert (one.base.inv() * worlds.BASE).rotation.magnitude() < 0.01
 
 

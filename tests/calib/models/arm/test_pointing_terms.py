@@ -8,8 +8,8 @@ import pytest
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.certification.held_out_errors import pose_errors
 from calib.models.arm.error_model_and_observations import Observations, arm_with_parameter_step
-from calib.models.arm.instrument_placement import place_arm
-from calib.models.arm.pointing_terms import ARCSEC, pointing_terms_of_parameters, term_jacobian
+from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
+from calib.models.arm.pointing_terms import ARCSEC, pointing_term_jacobian, pointing_terms_of_parameters
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
@@ -103,7 +103,7 @@ def test_terms_of_an_equatorial_mount():
     """To first order: the difference of both models is of second order."""
     rng = np.random.default_rng(0)
     q, mount, moved, terms = equatorial_sky(40, rng)
-    names, J = term_jacobian(q, mount)
+    names, J = pointing_term_jacobian(q, mount)
     change = mechanism.forward(q, mount) * exp(J @ np.array([terms[name] for name in names]))
     np.testing.assert_allclose(change.rotation.as_matrix()[..., 2], moved, atol=3e-9)
 
@@ -159,7 +159,7 @@ def test_a_base_turned_in_any_way_is_placed_by_stars():
     seen = Observations(
         "direction", q, poses_pointing_along(d), np.tile(SIGMA**2 * np.eye(2), (40, 1, 1)), np.zeros((40, 2, 0))
     )
-    placed = place_arm(seen, MOUNT, True, False)
+    placed = place_base_and_tool_of_arm(seen, MOUNT, True, False)
     assert (placed.base.inv() * true).rotation.magnitude() < 10 * ARCSEC
 
 

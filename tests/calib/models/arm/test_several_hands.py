@@ -13,7 +13,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import ver
 from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.models.arm import error_model_and_observations as model
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
-from calib.models.arm.instrument_placement import place_arm
+from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from rig.errors import NotEnoughData
 from rig.model.hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
@@ -78,7 +78,9 @@ def test_exact_poses_give_the_arm_back_and_its_base_and_tools_are_placed(make):
     for number in range(2):
         true = true.of_hand(number).with_ends(tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3)))
     seen = observed(true, 60, rng, noise=np.zeros(6))
-    found = identify_arm(seen, place_arm(seen, nominal, True, True), independent_arm_parameters(nominal, "pose"))
+    found = identify_arm(
+        seen, place_base_and_tool_of_arm(seen, nominal, True, True), independent_arm_parameters(nominal, "pose")
+    )
     assert np.abs(found.residuals).max() < 1e-9 and found.inliers.all()
     elsewhere = observed(true, 30, rng, noise=np.zeros(6))
     assert np.abs(elsewhere.residuals(found.arm)).max() < 1e-8
@@ -127,14 +129,14 @@ def test_base_and_tool_are_placed_by_the_hand_that_was_measured(arm, seen):
     rng, hands = np.random.default_rng(11), ("left", "right")
     true = replace(drawn(arm, rng), base=pose([0.5, -1.0, 0.3], [0.3, 0.2, 1.0]))
     true = true.of_hand(seen).with_ends(tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3)))
-    found = place_arm(observed(true, 60, rng, (seen,)), arm, True, True)
+    found = place_base_and_tool_of_arm(observed(true, 60, rng, (seen,)), arm, True, True)
     elsewhere = observed(true, 20, rng, (seen,), noise=np.zeros(6))
     assert np.abs(elsewhere.residuals(found)).max() < 0.02 and found.hand == 0
     other = 1 - seen
     np.testing.assert_array_equal(found.hands[other].tool.as_matrix(), arm.hands[other].tool.as_matrix())
     few = observed(true, 2, rng, (seen,))
     with pytest.raises(NotEnoughData, match=f"2 observations of a pose of the hand {hands[seen]!r} cannot locate"):
-        place_arm(few, arm, True, True)
+        place_base_and_tool_of_arm(few, arm, True, True)
 
 
 @pytest.mark.parametrize("seen", ["left", "right"])

@@ -67,7 +67,7 @@ def test_an_unknown_place_is_found(name):
     nominal, rng = ARMS[name], np.random.default_rng(3)
     true = worlds.secret(nominal, rng)
     seen = pose_observations(worlds.tracked(true, nominal, 40, rng))
-    found = identify_arm(seen, instrument_placement.place_arm(seen, nominal, True, True))
+    found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
     assert found.inliers.all() and not found.scatter.any()
     q = configurations(nominal, 50, rng, 0.5)
     assert (

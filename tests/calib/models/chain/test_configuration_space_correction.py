@@ -12,9 +12,9 @@ from calib.certification.extended_correction_certification import ExtensionReque
 from calib.files import calibration_file
 from calib.models.chain.certification_and_page import chain_pose_covariance, chain_workspace_claim
 from calib.models.chain.configuration_space_correction import (
-    certify_extended_chain,
+    certify_extended_chain_correction,
     chain_correction_summands,
-    single_step_chain_errors,
+    single_step_chain_correction_errors,
 )
 from calib.models.chain.error_model_and_identification import chain_with_parameter_step, parameter_tolerances
 from calib.samples.pose_samples import Samples
@@ -75,7 +75,7 @@ def test_commands_lead_to_wanted_poses_closer_than_any_geometry(machine, kind, a
         else [sobol_configurations(box, 200, 1.0, 3)]
     )
     samples, rng = samples_at(x, machine), np.random.default_rng(0)
-    done, tried = certify_extended_chain(samples, nominal, ExtensionRequest(kind, alone), rng)
+    done, tried = certify_extended_chain_correction(samples, nominal, ExtensionRequest(kind, alone), rng)
     assert [one.kind for one in tried if one.chosen] == [kind] and (done.correction.fitted is nominal) == alone
     claim = chain_workspace_claim(samples, done, rng)
     calibration_file.save(
@@ -98,11 +98,11 @@ def test_commands_lead_to_wanted_poses_closer_than_any_geometry(machine, kind, a
     wanted = real(at, machine)
     commands = correction.inverse(wanted)
     assert rms(pose_difference(real(commands, machine), wanted)) < 2 * most
-    assert single_step_chain_errors(correction, x)[0] < 2e-5
+    assert single_step_chain_correction_errors(correction, x)[0] < 2e-5
 
 
 def test_nothing_is_claimed_where_nothing_could_be_held_out(machine):
     samples, rng = samples_at(divided_grid_configurations(machine[2], "1@1"), machine), np.random.default_rng(0)
-    done, _ = certify_extended_chain(samples, machine[0], ExtensionRequest("linear", True), rng)
+    done, _ = certify_extended_chain_correction(samples, machine[0], ExtensionRequest("linear", True), rng)
     claim = chain_workspace_claim(samples, done, rng)
     assert done.left is None and done.held_out is None and not claim.determined, claim

@@ -5,7 +5,10 @@ given.
 import numpy as np
 import pytest
 
-from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE, parameter_combinations
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    PLAUSIBLE,
+    parameter_combinations_and_visibility,
+)
 from calib.models.platform.identification import identify_platform
 from calib.models.platform.optimal_calibration_poses import (
     CANDIDATES,
@@ -72,7 +75,7 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
         samples, true = sampled(design, seed, count=24, commands=chosen["determinant"].commands, own=own)
         found = identify_platform(samples, design.mechanism)
         errors.append(geometric_parameters(found.mechanism) - geometric_parameters(true))
-    parts, _ = parameter_combinations(chosen["determinant"].root, design.mechanism)
+    parts, _ = parameter_combinations_and_visibility(chosen["determinant"].root, design.mechanism)
     z = np.array([np.array(errors) @ part.direction / part.sigma for part in parts])
     assert np.std(z) == pytest.approx(1, abs=0.06)
 
@@ -80,9 +83,11 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
 def test_what_is_given_counts(design):
     given = configuration_generators.sobol_configurations(design.mechanism.strut_range, 3)
     found = choose_d_optimal_configurations(design.mechanism, 20, SIGMAS, existing_configurations=given)
-    hidden = [part for part in parameter_combinations(found.before, design.mechanism)[0] if not part.determined]
+    hidden = [
+        part for part in parameter_combinations_and_visibility(found.before, design.mechanism)[0] if not part.determined
+    ]
     assert len(hidden) >= 42 - 18 and all(
-        part.determined for part in parameter_combinations(found.root, design.mechanism)[0]
+        part.determined for part in parameter_combinations_and_visibility(found.root, design.mechanism)[0]
     )
 
 

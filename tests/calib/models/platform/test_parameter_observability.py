@@ -5,7 +5,7 @@ import pytest
 
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     frame_motion_columns,
-    parameter_combinations,
+    parameter_combinations_and_visibility,
 )
 from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
 from rig.model.mechanisms import hexapod
@@ -41,7 +41,7 @@ def test_gauge_agrees_with_joints_moved(design):
 def test_combinations_are_told_apart_and_named(design):
     samples, _ = sampled(design, 1, count=100)
     found = identify_platform(samples, design.mechanism)
-    parts, seen = parameter_combinations(found.root, found.mechanism)
+    parts, seen = parameter_combinations_and_visibility(found.root, found.mechanism)
     sigma = [part.sigma for part in parts]
     assert (
         len(parts) == 42
@@ -59,7 +59,9 @@ def test_one_pose_again_and_again_hides_most(design):
     found = identify_platform(samples, design.mechanism)
     J = np.tile(pose_parameter_jacobian(design.mechanism.home, found.mechanism) / 1e-5, (50, 1))
     root = np.linalg.qr(J, mode="r")
-    parts, seen = parameter_combinations(np.concatenate([root, np.zeros((42 - len(root), 42))]), found.mechanism)
+    parts, seen = parameter_combinations_and_visibility(
+        np.concatenate([root, np.zeros((42 - len(root), 42))]), found.mechanism
+    )
     assert sum(part.determined for part in parts) == 6 and seen.condition > 1e9
 
 
