@@ -228,7 +228,7 @@ def parameter_visibility(information_root: Floats, plausible_size: Floats) -> Vi
 
 CONSISTENT = 1.4826  # times the median of absolute residuals: the standard deviation of normal ones
 HUBER, TUKEY = 1.5, 6.0  # standard deviations: of the weights at first, and from which a row counts for nothing
-ROUNDS = 12  # of either weights
+ROUNDS = (12, 60)  # of Huber's weights, and the first number of Tukey's
 ALIKE = 0.5  # of a row's residual, by which its neighbour's may differ and still show the same
 IN_TIME, IN_PLACE = 2, 6  # neighbours either way in time, and in configuration
 MOST = 0.1  # share of rows that may be wild; where more are far off, the model is incomplete
@@ -253,24 +253,38 @@ class Robust:
 def robust_fit(parts: Sequence[tuple[Floats, Floats]]) -> Robust:
     """Robust fit of parts [(residual (n, k), columns (n, k, p))], whitened.
 
-    A row has one weight in all parts.
+    A row has one weight in all parts. Of the fits that few and that many rounds of Huber's weights lead to, the one
+    that leaves fewer rows out: gross rows that few others hold in place are let go slowly, and others too fast.
     """
+    fits = [_reweighted_fit(parts, ROUNDS[0])]
+    if _rows_left_out(fits[0]):
+        fits.append(_reweighted_fit(parts, ROUNDS[1]))
+    return min(fits, key=_rows_left_out)
+
+
+def _rows_left_out(fit: Robust) -> int:
+    return int((np.abs(fit.relative).max(axis=1) > TUKEY).sum())
+
+
+def _reweighted_fit(parts: Sequence[tuple[Floats, Floats]], rounds: int) -> Robust:
     n = len(parts[0][0])
     free = [1 - min(columns.shape[2] / max(n * columns.shape[1], 1), 0.8) for _, columns in parts]
+    stated = np.concatenate([np.full(residual.shape[1], 1 / np.sqrt(part)) for (residual, _), part in zip(parts, free)])
     weight = np.ones(n)
-    for turn in range(2 * ROUNDS):
-        left = np.concatenate([_left(residual, columns, weight) for residual, columns in parts], axis=1)
-        scale = np.concatenate(
-            [np.full(residual.shape[1], 1 / np.sqrt(share)) for (residual, _), share in zip(parts, free)]
-        )
-        scale = np.maximum(scale * CONSISTENT * np.median(np.abs(left), axis=0), 1e-300)
-        far = np.abs(left / scale).max(axis=1)
-        weight = (
-            np.minimum(1.0, HUBER / np.maximum(far, 1e-12))
-            if turn < ROUNDS
-            else (1 - np.minimum(far / TUKEY, 1.0) ** 2) ** 2
-        )
+    for weigh, turns in ((_huber_weight, rounds), (_tukey_weight, ROUNDS[0])):
+        for _ in range(turns):
+            left = np.concatenate([_left(residual, columns, weight) for residual, columns in parts], axis=1)
+            scale = np.maximum(stated * CONSISTENT * np.median(np.abs(left), axis=0), 1e-300)
+            weight = weigh(np.abs(left / scale).max(axis=1))
     return Robust(left, scale)
+
+
+def _huber_weight(far: Floats) -> Floats:
+    return np.minimum(1.0, HUBER / np.maximum(far, 1e-12))
+
+
+def _tukey_weight(far: Floats) -> Floats:
+    return np.asarray((1 - np.minimum(far / TUKEY, 1.0) ** 2) ** 2)
 
 
 def _left(residual: Floats, columns: Floats, weight: Floats) -> Floats:
