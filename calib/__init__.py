@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import close_loops as close_loops
     from calib.api.machine_run import RunOptions as RunOptions
     from calib.api.machine_run import plan_run as plan_run
-    from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions as AcceptLimbsOptions
-    from calib.api.measuring_limb_acceptance_and_platform_poses import accept_limbs as accept_limbs
+    from calib.api.measuring_limb_acceptance_and_poses_from_readings import AcceptLimbsOptions as AcceptLimbsOptions
+    from calib.api.measuring_limb_acceptance_and_poses_from_readings import accept_limbs as accept_limbs
     from calib.api.online_parameter_learning import LearnOptions as LearnOptions
     from calib.api.online_parameter_learning import learn as learn
     from calib.api.plan import plan as plan
@@ -93,7 +93,7 @@ __getattr__ = lazy_getattr(
         "certify": "calib.api.certify",
         **dict.fromkeys(("learn", "LearnOptions"), "calib.api.online_parameter_learning"),
         **dict.fromkeys(
-            ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_platform_poses"
+            ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_poses_from_readings"
         ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closure_check_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export_to_other_programs"),

@@ -16,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.parameters_covariates_and_markers import Drawing, log_uniform
+from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml

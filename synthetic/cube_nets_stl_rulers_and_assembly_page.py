@@ -218,7 +218,7 @@ def usable_area(paper: tuple[float, float]) -> tuple[float, float]:
     return paper[0] - LEFT - MARGIN, paper[1] - FOOT - 2 * MARGIN
 
 
-def cut_line_matplotlib_style() -> Json:
+def cut_line_plot_arguments() -> Json:
     """Line style of a cut line, as matplotlib arguments."""
     return {"color": "black", "lw": 0.5, "ls": "-"}
 
@@ -237,7 +237,7 @@ def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -
         start = (LEFT, MARGIN) if along == 0 else (MARGIN, MARGIN + FOOT)
         _ruler(axes, start, along)
     x, y = LEFT + RULER + 6, MARGIN + 2
-    for text, style in (("cut", cut_line_matplotlib_style()), ("fold", fold_line_matplotlib_style())):
+    for text, style in (("cut", cut_line_plot_arguments()), ("fold", fold_line_matplotlib_style())):
         axes.plot([x, x + 10], [y, y], **style)
         axes.text(x + 11.5, y, text, fontsize=7, va="center")
         x += 21

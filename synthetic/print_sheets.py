@@ -31,7 +31,7 @@ from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     Size,
     arrange_net,
     cube_stl_files,
-    cut_line_matplotlib_style,
+    cut_line_plot_arguments,
     draw_assembly_page,
     draw_rulers_and_legend,
     fold_line_matplotlib_style,
@@ -254,7 +254,7 @@ def _piece(axes: Axes, origin: Floats, target: Target, piece: Piece, size: Size)
             elif (face, side) in piece.folds:
                 axes.plot(*zip(a, b), **fold_line_matplotlib_style())
             elif tuple(np.add(NET[face], SIDES[side])) not in {NET[other] for other in piece.faces}:
-                axes.plot(*zip(a, b), **cut_line_matplotlib_style())
+                axes.plot(*zip(a, b), **cut_line_plot_arguments())
 
 
 def _side(corner: Floats, edge: float, side: str) -> tuple[Floats, Floats]:
@@ -268,7 +268,7 @@ def _flap(axes: Axes, a: Floats, b: Floats, out: Floats) -> None:
     inward = np.linalg.norm(out) * (b - a) / np.linalg.norm(b - a)
     ends = [a, a + out + inward, b + out - inward, b]
     axes.add_patch(Polygon(ends, closed=True, fc="0.93", ec="none", zorder=0.5))
-    axes.plot(*zip(*ends), **cut_line_matplotlib_style())
+    axes.plot(*zip(*ends), **cut_line_plot_arguments())
     axes.plot(*zip(a, b), **fold_line_matplotlib_style())
 
 

@@ -21,7 +21,7 @@ from rig.model.base_and_link_tilts import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.hands_effect_places_and_tolerances import hand_names
-from rig.model.mechanisms import redundant_struts
+from rig.model.mechanisms import best_six_legs_and_loop_closures
 from rig.model.mechanisms.arm import link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
@@ -139,7 +139,11 @@ def rms_length_conflict_of_actuated_struts(simulation: Simulation) -> float | No
     lengths = simulation.plan.commands.at(simulation.plan.t) + run.deviation
     return float(
         np.sqrt(
-            np.mean(np.square(redundant_struts.incompatible_strut_length_component(run.T_base_platform, lengths, m)))
+            np.mean(
+                np.square(
+                    best_six_legs_and_loop_closures.incompatible_strut_length_component(run.T_base_platform, lengths, m)
+                )
+            )
         )
     )
 

@@ -16,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.parameters_covariates_and_markers import Markers, markers_with_replaced_columns
+from rig.effects.framework.parameters_covariates_and_marker_table import Markers, markers_with_replaced_columns
 from rig.errors import RigError
 from rig.model.design import Camera, Design
 from rig.model.hands_effect_places_and_tolerances import Place

@@ -45,7 +45,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     discard_notice,
     make_corner_mistake_refusal,
-    refuse_spoilt_files,
+    refuse_mistakes_in_files_and_images,
 )
 from vision.predict import marker_map
 from vision.reading.marker_identity_and_expected_places import Suspect, find_suspicious_markers
@@ -276,7 +276,7 @@ def measure(
     """
     require_one_hand_shown(recording)
     recording = recording_with_unstated_markers_placed(recording, options.detect, progress)
-    refuse_spoilt_files(recording, options.anyway, notice)
+    refuse_mistakes_in_files_and_images(recording, options.anyway, notice)
     measured, collected = measure_recording(
         recording,
         tuple(part for part in HELD if part not in options.hold),

@@ -44,7 +44,7 @@ from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page_and_c_source as arm_page
 from calib.models.arm import certification as arm_certification
-from calib.models.arm.joint_space_correction_and_claim import (
+from calib.models.arm.joint_space_correction_and_workspace_claim import (
     arm_workspace_claim,
     commanded_minus_joint_values_by_stated_arm,
 )
@@ -54,7 +54,7 @@ from calib.models.chain.configuration_space_correction import chain_correction_s
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
-from calib.samples.confounded_conditions_and_clocks import (
+from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
     recording_and_poses_on_one_clock,
 )

@@ -44,7 +44,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SpacePart,
     SummedPasses,
 )
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     correction_with_additional_pass,
     correction_with_pose_space_map,
     fit_correction_summand_field,
@@ -57,12 +57,12 @@ from calib.correction.interpolation_methods_and_correction_summand_fields import
 )
 from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap, pose_coordinates
 from calib.files.mechanism_and_physics_entries import mechanism_dict
-from calib.models.arm import joint_space_correction_and_claim as arm_extension
+from calib.models.arm import joint_space_correction_and_workspace_claim as arm_extension
 from calib.models.arm.certification import CertifiedArm as ArmCertified
-from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
+from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
 from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_claim
 from calib.models.chain.configuration_space_correction import (
-    certify_extended_chain_correction,
+    certify_chain_correction_extension,
     single_step_chain_correction_errors,
 )
 from calib.models.platform.identification import inverse_strut_length_jacobian
@@ -89,7 +89,7 @@ SPACES = (CONFIGURATION, POSE, BOTH)
 
 class CorrectionPass(NamedTuple):
     """What is asked of a pass. kind : one of `METHODS` of
-    calib.correction.interpolation_methods_and_correction_summand_fields, or AUTO; space : of SPACES;
+    calib.correction.interpolation_methods_and_interpolated_correction_summands, or AUTO; space : of SPACES;
     configurations : Part of the configuration
     space in which it holds, poses : Part of pose space, in the coordinates of `pose_coordinate_indices`; None for all
         of it."""
@@ -317,7 +317,7 @@ def certify_correction_extension(
     base = "the nominal model alone" if options.alone else "the fitted geometry"
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
-        of_arm, tried = arm_extension.certify_extended_arm_correction(
+        of_arm, tried = arm_extension.certify_arm_correction_extension(
             samples, arm, sampled.instrument, ask, rng, progress
         )
         claim_of = arm_extension.claim_without_geometry if options.alone else arm_workspace_claim
@@ -326,7 +326,7 @@ def certify_correction_extension(
         return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
     provenance: Json = {}
     if design.mechanism.bodies:
-        of_chain, tried = certify_extended_chain_correction(
+        of_chain, tried = certify_chain_correction_extension(
             samples, require_chain(design.mechanism), ask, rng, progress
         )
         misses = single_step_chain_correction_errors(of_chain.correction, samples.commanded)

@@ -14,8 +14,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.online.accepted_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.mechanisms.redundant_struts import (
+from rig.model.mechanisms.best_six_legs_and_loop_closures import (
     LegClosures,
     RedundantLegs,
     best_six_legs,
@@ -23,6 +22,7 @@ from rig.model.mechanisms.redundant_struts import (
     leg_closures,
     leg_lengths_and_pose_and_base_jacobians,
 )
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html

@@ -13,7 +13,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
 from calib.diagnosis.physics_left_out_of_calibration import unexplained_findings_and_refutations
 from calib.online.forgetting_kalman_and_gradient_learners import save_learner
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from calib.online.learning_from_recording import (
     FILTER,
     Learning,
@@ -23,7 +23,7 @@ from calib.online.learning_from_recording import (
 )
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
 from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
-from calib.samples.confounded_conditions_and_clocks import confounds_of_recordings
+from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError

@@ -38,7 +38,7 @@ from calib.models.platform.optimal_calibration_poses import (
     fewest_configurations,
     total_information,
 )
-from calib.samples.confounded_conditions_and_clocks import confounds_of_configurations
+from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect

@@ -11,7 +11,7 @@ from pathlib import Path
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.platform.optimal_calibration_poses import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
-from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError

@@ -58,7 +58,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import (
     make_corner_mistake_refusal,
     recorded_or_sampled_corners,
     refuse_mistakes,
-    refuse_spoilt_files,
+    refuse_mistakes_in_files_and_images,
     uneven_cube_layout_remarks,
 )
 from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable
@@ -272,7 +272,7 @@ def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -
 
     Returns the check that refuses its corners once read
     """
-    refuse_spoilt_files(recording, anyway, notice)
+    refuse_mistakes_in_files_and_images(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         refuse_mistakes(pose_mistakes(recording), anyway, notice)
     return make_corner_mistake_refusal(recording, anyway, notice)

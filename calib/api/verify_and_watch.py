@@ -46,7 +46,7 @@ from calib.report.verification_and_repeated_visit_pages import (
     write_verification_page,
     write_visits_page,
 )
-from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_recordings
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError

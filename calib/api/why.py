@@ -22,7 +22,7 @@ from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.diagnosis_texts import finding_size_text, finding_title
 from calib.files.calibration_file import save
 from calib.models.arm.certification import CertifiedArm
-from calib.samples.confounded_conditions_and_clocks import confound_sentences
+from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.model.hands_effect_places_and_tolerances import require_one_hand

@@ -46,7 +46,7 @@ from calib.certification.uncertainty_budget import (
 from calib.files import calibration_file
 from calib.files.calibration_file import calibration_json_text
 from calib.models.machine_models import corrected_pose_covariance
-from calib.samples.confounded_conditions_and_clocks import confound_sentences, confounds_of_recordings
+from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData

@@ -12,7 +12,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import Aga
 from calib.certification.iso230_and_iso9283_tests import POSES, VISITS, AxisTest
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS
 from calib.certification.uncertainty_budget import Contribution, Expanded
-from rig.effects.framework.parameters_covariates_and_markers import PLOT_UNITS
+from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 
 
 def micrometre_text(value: float) -> str:

@@ -28,7 +28,7 @@ from calib.certification.noise_free_errors_and_tolerance_limits import (
 )
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS, GUARD, OPEN
 from calib.models.arm.pointing_terms import ARCSEC
-from calib.samples.confounded_conditions_and_clocks import confound_sentences, confounds_of_recordings
+from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError

@@ -12,7 +12,7 @@ from calib.certification.held_out_errors import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.correction.physics_compensation import Physics
-from calib.samples.confounded_conditions_and_clocks import (
+from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     Confounds,
     estimate_clocks_from_samples,
     recording_and_poses_on_one_clock,
@@ -23,8 +23,8 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import number_text
 from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
+from rig.model.mechanisms.best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
-from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 

@@ -23,7 +23,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
-from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from calib.samples.pose_samples import Samples
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.report.verdict_refutations_and_result_display import (

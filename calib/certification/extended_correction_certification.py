@@ -43,12 +43,12 @@ from calib.certification.platform_certification import (
     strut_deviation_sizes_of_samples,
     uncertified_geometry,
 )
-from calib.correction import interpolation_methods_and_correction_summand_fields
+from calib.correction import interpolation_methods_and_interpolated_correction_summands
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
 from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples, WeightedField
 from calib.correction.interpolation.gaussian_process import RadialMap
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Grid, grid_lattice_of_configurations
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,
@@ -193,7 +193,7 @@ def certify_interpolation_method(
     known, correct, stated_square = basis_of_samples(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
-    for name in interpolation_methods_and_correction_summand_fields.METHODS if kind == AUTO else (kind,):
+    for name in interpolation_methods_and_interpolated_correction_summands.METHODS if kind == AUTO else (kind,):
         progress(f"extending: {name}", 0, 1)
         try:
             fields[name] = fit_correction_summand_field(known, name)

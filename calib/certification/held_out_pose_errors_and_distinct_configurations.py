@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
-from calib.identify.least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError

@@ -13,7 +13,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.formats.numbers_and_units import quantity_text
-from rig.model.mechanisms import redundant_struts
+from rig.model.mechanisms import best_six_legs_and_loop_closures
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_redundant
 
 
@@ -53,8 +53,8 @@ def strut_conflict(calibration: Calibration, samples: Samples, recorded_mechanis
     T, count = samples.T_base_platform, len(nominal.axes)
     corrected = samples.effective - calibration.correction.rho(samples.effective)
     return StrutConflict(
-        _size(redundant_struts.incompatible_strut_length_component(T, samples.commanded, nominal)),
-        _size(redundant_struts.incompatible_strut_length_component(T, corrected, fitted)),
+        _size(best_six_legs_and_loop_closures.incompatible_strut_length_component(T, samples.commanded, nominal)),
+        _size(best_six_legs_and_loop_closures.incompatible_strut_length_component(T, corrected, fitted)),
         _size(calibration.scatter) * float(np.sqrt((count - 6) / count)),
     )
 

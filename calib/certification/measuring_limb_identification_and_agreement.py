@@ -20,15 +20,15 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import redundant_limb_checks
 from calib.certification.redundant_limb_checks import Limbs
-from calib.identify.least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms import best_six_legs_and_loop_closures
 from rig.model.mechanisms import hexapod as mechanism
-from rig.model.mechanisms import redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
@@ -243,17 +243,19 @@ def detect_limb_slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | Non
     """
     n, of = (
         len(samples),
-        redundant_struts.combine_leg_sets(
+        best_six_legs_and_loop_closures.combine_leg_sets(
             [("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home
         ),
     )
     if n < 2 * LEAST:
         return None
-    predicted, J, _ = redundant_struts.leg_lengths_and_pose_and_base_jacobians(of, samples.T_base_platform)
+    predicted, J, _ = best_six_legs_and_loop_closures.leg_lengths_and_pose_and_base_jacobians(
+        of, samples.T_base_platform
+    )
     spread = J @ samples.covariance @ np.swapaxes(J, 1, 2) + sigma**2 * np.eye(6)
     W = np.linalg.inv(np.linalg.cholesky(spread))
     y = (W @ (samples.commanded - predicted)[..., None]).reshape(-1)
-    geometry = redundant_struts.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
+    geometry = best_six_legs_and_loop_closures.leg_parameter_jacobians(of, samples.T_base_platform)  # (n, 6, 42)
     known = np.concatenate([W @ geometry * PRIOR, W @ J @ samples.common], axis=2).reshape(6 * n, -1)
     known = np.vstack([known, np.eye(known.shape[1])])  # each of these is a draw of unit size
     Q = np.linalg.qr(known)[0][: 6 * n]

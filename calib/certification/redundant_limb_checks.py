@@ -14,14 +14,14 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model.design import Design, MeasuringLimbs
 from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms import best_six_legs_and_loop_closures
 from rig.model.mechanisms import hexapod as mechanism
-from rig.model.mechanisms import redundant_struts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,13 +96,13 @@ def best_six_limbs(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransfo
     """
     of = stated_limb_legs(stated, home)
     return (
-        np.arange(redundant_struts.SIX)
-        if len(of.names) == redundant_struts.SIX
-        else redundant_struts.best_six_legs(of, T)
+        np.arange(best_six_legs_and_loop_closures.SIX)
+        if len(of.names) == best_six_legs_and_loop_closures.SIX
+        else best_six_legs_and_loop_closures.best_six_legs(of, T)
     )
 
 
-def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_struts.RedundantLegs:
+def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> best_six_legs_and_loop_closures.RedundantLegs:
     """Legs of all limbs as stated in rig.toml.
 
     home : T_base_platform.
@@ -110,7 +110,7 @@ def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_
     """
     _require_six_limbs(stated)
     n = len(stated.channels)
-    return redundant_struts.combine_leg_sets(
+    return best_six_legs_and_loop_closures.combine_leg_sets(
         [("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))], home
     )
 
@@ -118,7 +118,7 @@ def stated_limb_legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant_
 def _require_six_limbs(stated: MeasuringLimbs) -> None:
     """Raise RigError for limbs that tell no pose."""
     n = len(stated.channels)
-    if n < redundant_struts.SIX:
+    if n < best_six_legs_and_loop_closures.SIX:
         raise RigError(
             f"rig.toml has {n} measuring limb{'s' * (n > 1)} in [insitu], and a platform has six freedoms: "
             "fewer than six lengths determine no "
@@ -131,7 +131,7 @@ def has_six_measuring_limbs(design: Design) -> bool:
     return (
         design.insitu is not None
         and design.mechanism.plates is not None
-        and len(design.insitu.channels) >= redundant_struts.SIX
+        and len(design.insitu.channels) >= best_six_legs_and_loop_closures.SIX
     )
 
 
@@ -173,12 +173,12 @@ def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> t
     """
     p, weight = stated.copy(), 1 / np.sqrt(variance)
     for _ in range(STEPS):
-        one = redundant_struts.RedundantLegs(
+        one = best_six_legs_and_loop_closures.RedundantLegs(
             ("m",), p[None, :3], p[None, 3:6], p[6:], T[0], np.ones(1), np.zeros((7, 7))
         )
         predicted, A = (
-            redundant_struts.leg_lengths_and_pose_and_base_jacobians(one, T)[0][:, 0],
-            redundant_struts.leg_parameter_jacobians(one, T)[:, 0],
+            best_six_legs_and_loop_closures.leg_lengths_and_pose_and_base_jacobians(one, T)[0][:, 0],
+            best_six_legs_and_loop_closures.leg_parameter_jacobians(one, T)[:, 0],
         )
         rows = np.concatenate([A * weight[:, None], np.eye(7) / PRIOR])
         right = np.concatenate([(read - predicted) * weight, (stated - p) / PRIOR])
@@ -197,14 +197,14 @@ def _leg(T: RigidTransform, read: Floats, stated: Floats, variance: Floats) -> t
     )
 
 
-def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> redundant_struts.LegClosures:
+def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> best_six_legs_and_loop_closures.LegClosures:
     """Closures of the checks, poses by the six. lengths : (n, limbs) m"""
     m = limbs.hexapod
     covariance = scipy.linalg.block_diag(
         np.zeros((42, 42)), *checks.covariance
     )  # checks are fitted to what the six tell
     order = np.r_[limbs.chosen, checks.limbs].astype(int)
-    of = redundant_struts.RedundantLegs(
+    of = best_six_legs_and_loop_closures.RedundantLegs(
         tuple(f"m{i + 1}" for i in order),
         np.vstack([m.base_joints, checks.base]),
         np.vstack([m.platform_joints, checks.platform]),
@@ -213,7 +213,7 @@ def _closures(limbs: Limbs, checks: Checks, lengths: Floats) -> redundant_struts
         np.r_[limbs.sigma, checks.sigma],
         covariance,
     )
-    return redundant_struts.leg_closures(of, lengths[:, order], np.arange(6))
+    return best_six_legs_and_loop_closures.leg_closures(of, lengths[:, order], np.arange(6))
 
 
 def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> tuple[Floats, Floats]:
@@ -221,7 +221,7 @@ def held_out_check_errors(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats)
 
     Joints fitted elsewhere.
     """
-    fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - redundant_struts.SIX
+    fold, count = time_block_folds(len(lengths), FOLDS), len(stated.channels) - best_six_legs_and_loop_closures.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
     for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
         found = _closures(limbs, fit_redundant_limb_checks(limbs, stated, lengths[fold != k]), lengths[fold == k])

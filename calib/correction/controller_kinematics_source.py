@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.correction.correction import AnyCorrection
 from calib.correction.correction_as_c_source import CSource, c_source_part, correction_c_source
-from calib.correction.interpolation_methods_and_correction_summand_fields import home_pose
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import home_pose
 from calib.correction.physics_compensation import Physics
 from rig.array_and_json_types import Floats
 from rig.errors import RigError

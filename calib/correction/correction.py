@@ -33,7 +33,7 @@ from calib.models.platform.identification import (
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.effects.framework.parameters_covariates_and_markers import PLOT_UNITS
+from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain

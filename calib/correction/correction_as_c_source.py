@@ -26,7 +26,7 @@ from calib.correction.correction_fields_as_c_functions import (
 from calib.correction.interpolation.field_interface_and_combinations import Field
 from calib.correction.physics_compensation import Physics
 from rig.array_and_json_types import Floats
-from rig.effects.framework.parameters_covariates_and_markers import ControllerTerm
+from rig.effects.framework.parameters_covariates_and_marker_table import ControllerTerm
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod

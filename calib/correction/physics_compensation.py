@@ -29,8 +29,8 @@ from rig.model.design import Actuator, Design, Platform
 from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.arm import hand_pose_of_each_row
+from rig.model.mechanisms.best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel
-from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Sensors, sensors_with_gravity
 

@@ -11,7 +11,7 @@ import numpy as np
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, group_sightings
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import linearise
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
@@ -142,7 +142,7 @@ def arm_effect_signal_to_noise(
     if not isinstance(arm, Arm):
         raise RigError(f"this requires an arm, not a mechanism of kind {arm.kind!r}")
     q = motion_simulation.motion_of_commands(true_design, commands, t, effects, sensors).lengths
-    free = independent_arm_parameters(arm, "pose" if k == 6 else "position")
+    free = independent_arm_parameter_mask(arm, "pose" if k == 6 else "position")
     J = error_model_and_observations.parameter_jacobian(q, arm)[:, :k][..., free] / np.repeat(sigma, 3)[:, None]
     Q = np.linalg.qr(J.reshape(len(t) * k, -1))[0]
     out = []

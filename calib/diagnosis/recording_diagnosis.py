@@ -18,8 +18,8 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     Site,
     StatedTerms,
 )
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.finding_removal_with_smooth_functions import (
     remove_findings_insignificant_with_smooth_functions,
 )
@@ -45,7 +45,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
 from calib.models.platform.identification import refuse_redundancy_without_followers
-from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_recordings
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL, Plugin
 from rig.effects.framework.effect import Effect

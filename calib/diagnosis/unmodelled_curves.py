@@ -34,7 +34,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     conserved_coordinate_sums,
     fit_coordinates_of_effects,
 )
-from rig.effects.framework.parameters_covariates_and_markers import Context
+from rig.effects.framework.parameters_covariates_and_marker_table import Context
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import covariate_words, curve_classes_by_covariate
 from rig.model.motion_simulation import motion_of_commands
 

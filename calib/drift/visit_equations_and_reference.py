@@ -204,7 +204,7 @@ class _Seen:
     samples: Samples
 
 
-def visit_equations(
+def visit_equations_and_reference(
     recording: Recording, calibration: Calibration, reference: Reference | None
 ) -> tuple[Equations, Reference]:
     """Equations of a visit, and the Reference that they refer to.

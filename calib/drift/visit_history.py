@@ -18,7 +18,7 @@ from calib.drift.change_evidence_and_sentences import (
     prior_information_of_constants_between_visits,
     whitened_squares_unexplained_by_constants,
 )
-from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations
+from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations_and_reference
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
@@ -83,8 +83,8 @@ def add_visit_and_judge_change(
     """Add a visit to a History, and judge whether the machine changed.
 
     Returns (History, Verdict of the visit)
-    Raises RigError for data that were taken already or that the calibration was made from, and as `visit_equations`
-        does
+    Raises RigError for data that were taken already or that the calibration was made from, and as
+        `visit_equations_and_reference` does
     """
     of = content_hashes_of_frames(recording)
     for known, what in (
@@ -98,7 +98,7 @@ def add_visit_and_judge_change(
                 f"first: {same[0]}) {what}; a visit "
                 "is a new recording"
             )
-    equations, reference = visit_equations(recording, calibration, history.reference)
+    equations, reference = visit_equations_and_reference(recording, calibration, history.reference)
     before, constants = (
         [visit.equations for visit in history.visits],
         prior_information_of_constants_between_visits(reference, calibration.covariance),

@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 
 from calib.diagnosis.engine.candidate_score import Alternative
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, C
-from calib.diagnosis.engine.finding_confirmation import Finding
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
@@ -257,7 +257,7 @@ class Information:
 
 
 def experiment_information(odds: Floats, predictions: Prediction, deviance: Floats) -> Information:
-    """Information expected of an experiment, from drawn outcomes.
+    """Expected information of an experiment, averaged over drawn outcomes.
 
     odds : (h,) of the hypotheses
     deviance : (h,) how much less likely the data so far make each, as minus twice a logarithm

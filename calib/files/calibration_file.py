@@ -19,7 +19,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Certified
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     field_from_entries,
     field_to_dict,
     pose_map_dict,
@@ -38,7 +38,7 @@ from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified
 from calib.models.machine_models import calibration_with_workspace, model_of
-from calib.samples.confounded_conditions_and_clocks import confounds_from_entries, confounds_of_samples
+from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_from_entries, confounds_of_samples
 from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_map_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json

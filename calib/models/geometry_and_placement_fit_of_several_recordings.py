@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm.certification import start_arm_of_fit
 from calib.models.arm.error_model_and_observations import sample_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.models.base_and_tool_displacement_between_recordings import (
     LOOSE,
     NONE,
@@ -115,7 +115,7 @@ def _placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain)
     if isinstance(start, Arm):
         assert isinstance(nominal, Arm)
         seen = sample_observations(samples)
-        arm = identify_arm(seen, start, independent_arm_parameters(nominal, seen.kind))
+        arm = identify_arm(seen, start, independent_arm_parameter_mask(nominal, seen.kind))
         W = np.linalg.inv(np.linalg.cholesky(seen.covariance + np.diag(arm.scatter**2)))[arm.inliers]
         columns = np.concatenate([seen.jacobian(arm.arm)[..., arm.rank.free], seen.common], axis=2)[arm.inliers]
         left = (W @ seen.residuals(arm.arm)[arm.inliers][..., None]).ravel()

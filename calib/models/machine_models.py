@@ -15,7 +15,7 @@ from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.interpolation.field_interface_and_combinations import Field
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     gaussian_process_from_entries,
     pose_map_from_entries,
 )
@@ -238,7 +238,7 @@ class IndependentParameters:
 def independent_parameter_names_units_sizes_and_jacobian(mechanism: Mechanism) -> IndependentParameters:
     """Names, units, sizes and pose Jacobian of a mechanism's independent geometric parameters."""
     if isinstance(mechanism, Arm):
-        free = identification_and_joint_profiles.independent_arm_parameters(mechanism, "pose")
+        free = identification_and_joint_profiles.independent_arm_parameter_mask(mechanism, "pose")
         size = np.array([PLAUSIBLE[unit] for unit in error_model_and_observations.parameter_units(mechanism)])
         return _selected_freedoms(
             free,

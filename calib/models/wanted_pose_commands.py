@@ -30,8 +30,8 @@ from rig.driving.protocols.gcs import PoseFrames
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
+from rig.model.mechanisms.best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
-from rig.model.mechanisms.redundant_struts import with_follower_struts_of
 from rig.model.motion_simulation import motion_of_commands
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors

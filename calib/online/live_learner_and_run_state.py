@@ -14,7 +14,7 @@ from calib.certification import measuring_limb_identification_and_agreement, red
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.online.filter_kernels_and_change_detection import Change
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.driving.move_and_record_loop import RecordedFrame

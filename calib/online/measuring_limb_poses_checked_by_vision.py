@@ -22,7 +22,7 @@ from calib.certification.redundant_limb_checks import Limbs
 from calib.online import accepted_limbs_file
 from calib.online.accepted_limbs_file import Accepted
 from calib.online.filter_kernels_and_change_detection import Change
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import Sampled, Samples, pair_commands_with_measured_poses
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError

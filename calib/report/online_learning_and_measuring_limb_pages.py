@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
 from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES, Agreement
-from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,

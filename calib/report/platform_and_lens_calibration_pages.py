@@ -18,7 +18,7 @@ from calib.report.pose_and_effect_figures import FITTED, correction_error_figure
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Floats, Json
-from rig.effects.framework.parameters_covariates_and_markers import PLOT_UNITS
+from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,

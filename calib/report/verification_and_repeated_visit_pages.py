@@ -27,7 +27,7 @@ from calib.certification.internal_strut_forces import StrutConflict
 from calib.drift.change_evidence_and_sentences import ALARM
 from calib.drift.change_evidence_and_sentences import Verdict as Changes
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
-from calib.samples.confounded_conditions_and_clocks import Confounds
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.design import Design

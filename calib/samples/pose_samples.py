@@ -187,7 +187,7 @@ def pair_commands_with_measured_poses(
     )
 
 
-def add_stage_measurements(
+def add_chain_stage_measurements(
     samples: Samples,
     stage: int,
     frames: Integers,
@@ -310,7 +310,7 @@ def sample_recording(
     )
     for stage, below in measured.stages.items():
         alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
-        found = add_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
+        found = add_chain_stage_measurements(found, stage, below.frames, below.T_base_platform, alone, below.common)
     return Sampled(
         samples_of_movable_coordinates(found, recording.design.mechanism),
         source,
@@ -375,7 +375,7 @@ def _from_poses(recording: Recording) -> Samples:
     found = replace(found, hand=poses.hand)
     for stage, below in recording.stages.items():
         own = pose_covariance(below, instrument, m)
-        found = add_stage_measurements(found, stage, below.frame, below.T_base_platform, own, below.common)
+        found = add_chain_stage_measurements(found, stage, below.frame, below.T_base_platform, own, below.common)
     return found
 
 

@@ -18,7 +18,7 @@ from calib.correction.correction import (
     indices_and_poses_of_solvable_commands,
     solvable_commands_and_poses,
 )
-from calib.correction.interpolation_methods_and_correction_summand_fields import home_pose
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import home_pose
 from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.errors import NotConverged
 from rig.formats.checked_entries import Entries

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.workspace.workspace_map_and_lost_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.parameters_covariates_and_markers import PLOT_UNITS
+from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.formats.numbers_and_units import number_text
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,

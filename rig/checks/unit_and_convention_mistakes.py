@@ -14,8 +14,8 @@ from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms import best_six_legs_and_loop_closures
 from rig.model.mechanisms import hexapod as kinematics
-from rig.model.mechanisms import redundant_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_struts, is_redundant
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -195,7 +195,9 @@ def _planned_followers(q: Floats, hexapod: Hexapod) -> Iterator[Mistake]:
     lengths = q[np.linspace(0, len(q) - 1, min(len(q), LOOKED_AT)).astype(int)]
     try:
         apart = np.abs(
-            redundant_struts.incompatible_strut_length_component(kinematics.forward(lengths, hexapod), lengths, hexapod)
+            best_six_legs_and_loop_closures.incompatible_strut_length_component(
+                kinematics.forward(lengths, hexapod), lengths, hexapod
+            )
         ).max()
     except NotConverged:
         return  # what is no pose at all has other reasons

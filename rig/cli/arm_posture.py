@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parsing import parse_numbers
+from rig.cli.shared.argument_parser_and_option_values import parse_numbers
 from rig.cli.shared.common_options import (
     add_json_option,
     add_overwrite_option,

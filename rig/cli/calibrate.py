@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options, output_display
-from rig.cli.shared.argument_parsing import parse_length
+from rig.cli.shared.argument_parser_and_option_values import parse_length
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_overwrite_option,
@@ -230,7 +230,7 @@ def _extend_options(arguments: Namespace) -> ExtendOptions | None:
     )
 
 
-FILTER = "filter"  # the learner of calib.online.information_filter
+FILTER = "filter"  # the learner of calib.online.hexapod_information_filter
 SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
 
 

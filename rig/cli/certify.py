@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import output_display
-from rig.cli.shared.argument_parsing import parse_tolerance
+from rig.cli.shared.argument_parser_and_option_values import parse_tolerance
 from rig.cli.shared.common_options import (
     SEED,
     add_hand_option,
@@ -41,7 +41,7 @@ KINDS = (".json", ".html", ".pdf", ".xml")
 
 
 def parse_share(text: str) -> float:
-    """Parse a share between 0 and 1.
+    """Parse a share from 0.5 to 0.9999.
 
     Raises ArgumentTypeError
     """

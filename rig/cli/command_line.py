@@ -18,7 +18,7 @@ from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES, SHARED_FILES
-from rig.cli.shared.argument_parsing import Parser, join_negative_numbers
+from rig.cli.shared.argument_parser_and_option_values import Parser, join_negative_numbers
 from rig.cli.shared.common_options import add_common_options
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs

@@ -233,7 +233,7 @@ def _start(text: str, axis_units: tuple[str, ...], units: LengthAndAngleUnits) -
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:
     """Write the poses that a measuring machine's readings stand for."""
-    from calib.api.measuring_limb_acceptance_and_platform_poses import corrected_poses_of_readings
+    from calib.api.measuring_limb_acceptance_and_poses_from_readings import corrected_poses_of_readings
     from rig.formats import csv_and_parquet_tables_and_time_origin
 
     axes = calibration.correction.nominal.axes

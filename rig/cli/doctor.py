@@ -56,7 +56,7 @@ def run_completion(arguments: Namespace) -> None:
 
     Print the completion script of a shell.
     """
-    from rig.cli.shared.argument_parsing import completion_script
+    from rig.cli.shared.argument_parser_and_option_values import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))
 

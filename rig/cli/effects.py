@@ -54,7 +54,7 @@ def run(arguments: Namespace) -> None:
         raise RigError("--from, --place and --out apply to a new effect: name it with --new")
     from shutil import get_terminal_size
 
-    from rig.cli.shared.argument_parsing import suggestion_text
+    from rig.cli.shared.argument_parser_and_option_values import suggestion_text
     from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options, output_display
-from rig.cli.shared.argument_parsing import require_share_of_greatest_speed
+from rig.cli.shared.argument_parser_and_option_values import require_share_of_greatest_speed
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_port_and_trace_options,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import require_share_of_greatest_speed
+from rig.cli.shared.argument_parser_and_option_values import require_share_of_greatest_speed
 from rig.cli.shared.common_options import (
     add_controller_arguments,
     add_json_result_option,

@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import parse_length_and_angle
+from rig.cli.shared.argument_parser_and_option_values import parse_length_and_angle
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_overwrite_option,
@@ -24,7 +24,7 @@ from rig.cli.shared.output_display import Progress, print_frames_without_pose
 
 if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
-    from calib.api.measuring_limb_acceptance_and_platform_poses import LimbAcceptance
+    from calib.api.measuring_limb_acceptance_and_poses_from_readings import LimbAcceptance
     from calib.certification.measuring_limb_identification_and_agreement import Agreement
 
 
@@ -66,7 +66,7 @@ def run_test(arguments: Namespace) -> int:
 
     Test measuring limbs against vision, and save accepted ones.
     """
-    from calib.api.measuring_limb_acceptance_and_platform_poses import AcceptLimbsOptions, accept_limbs
+    from calib.api.measuring_limb_acceptance_and_poses_from_readings import AcceptLimbsOptions, accept_limbs
     from calib.online.accepted_limbs_file import is_limbs_file
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 

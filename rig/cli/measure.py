@@ -101,7 +101,7 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     """Write the poses of measuring limbs, with covariance; rig.toml remains as stated, since no camera was adjusted."""
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect apply to cameras and what they see; omit them with --limbs")
-    from calib.api.measuring_limb_acceptance_and_platform_poses import measure_poses_by_limbs
+    from calib.api.measuring_limb_acceptance_and_poses_from_readings import measure_poses_by_limbs
     from rig.cli.shared.measurement_and_calibration_summary import print_uncertainty_of_poses_from_limbs
     from rig.recording import frame_selection_and_content_hashes
 

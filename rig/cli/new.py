@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rig.cli.shared.argument_parsing import parse_length, suggestion_text
+from rig.cli.shared.argument_parser_and_option_values import parse_length, suggestion_text
 from rig.cli.shared.common_options import add_overwrite_option, add_units_option, file_or_stdout
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number

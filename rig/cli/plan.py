@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import parse_length
+from rig.cli.shared.argument_parser_and_option_values import parse_length
 from rig.cli.shared.common_options import (
     SEED,
     add_json_result_option,

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parsing import parse_length_and_angle
+from rig.cli.shared.argument_parser_and_option_values import parse_length_and_angle
 from rig.cli.shared.common_options import SEED, add_controller_arguments
 from rig.cli.shared.input_options import add_limb_options, limb_source
 from rig.errors import RigError

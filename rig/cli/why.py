@@ -8,7 +8,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from rig.cli.new import add_own_arm_options, arm_file_options
-from rig.cli.shared.argument_parsing import parse_length, parse_tolerance
+from rig.cli.shared.argument_parser_and_option_values import parse_length, parse_tolerance
 from rig.cli.shared.common_options import add_json_option, add_overwrite_option, page_links, print_json
 from rig.cli.shared.input_options import add_anyway_option
 from rig.cli.shared.output_display import Progress

@@ -16,7 +16,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.hands_effect_places_and_tolerances import hand_names
-from rig.model.mechanisms import hexapod, mechanism_chain, redundant_struts
+from rig.model.mechanisms import best_six_legs_and_loop_closures, hexapod, mechanism_chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,
     has_stages,
@@ -138,8 +138,8 @@ def simulate_machine_run(
 def _held_poses(lengths: Floats, mechanism: Mechanism, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform (n,) of lengths or axis values (n, axes): where the driven struts hold it, followers aside."""
     if is_redundant(mechanism) and mechanism.followers:
-        driven = redundant_struts.hexapod_of_actuated_struts(mechanism)
-        return hexapod.forward(lengths[..., redundant_struts.actuated_struts(mechanism)], driven, guess)
+        driven = best_six_legs_and_loop_closures.hexapod_of_actuated_struts(mechanism)
+        return hexapod.forward(lengths[..., best_six_legs_and_loop_closures.actuated_struts(mechanism)], driven, guess)
     return mechanisms.kinematics_of(mechanism).forward(lengths, mechanism, guess)
 
 

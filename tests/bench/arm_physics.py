@@ -18,7 +18,7 @@ from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_arm_with
 from calib.files.calibration_file import calibration_with_provenance
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm
-from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
+from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.effects.framework.effect import Effect

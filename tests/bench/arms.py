@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import pose_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
@@ -97,7 +97,7 @@ def _closed_forms():
 
 def _identification():
     for name, nominal in (("UR10", UR10), ("seven joints", SEVEN)):
-        free, z, steps = independent_arm_parameters(nominal, "pose"), [], []
+        free, z, steps = independent_arm_parameter_mask(nominal, "pose"), [], []
         for seed in range(40):
             rng = np.random.default_rng(seed)
             true = worlds.secret(nominal, rng)

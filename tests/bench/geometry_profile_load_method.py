@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,

@@ -19,7 +19,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SummedPasses,
 )
 from calib.correction.interpolation.gaussian_process import fit_gaussian_process
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     correction_with_pose_space_map,
     fit_field,
     home_pose,

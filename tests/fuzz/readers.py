@@ -12,7 +12,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.correction.correction import Correction
 from calib.files import calibration_file
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_texts_and_user_effect_files import (
     parse_effect,

@@ -44,8 +44,8 @@ def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: N
         notice(str(one))
 
 
-def refuse_spoilt_files(recording: Recording, allow_mistakes: bool, notice: Notice) -> None:
-    """Refuse a recording whose files or sampled images are spoilt, unless mistakes are allowed."""
+def refuse_mistakes_in_files_and_images(recording: Recording, allow_mistakes: bool, notice: Notice) -> None:
+    """Refuse a recording with mistakes in its files or sampled images, unless mistakes are allowed."""
     refuse_mistakes(mistakes_found_without_looking_at_images(recording), allow_mistakes, notice)
     for name, quarters in quarter_turns_of_cubes(recording.design).items():
         notice(

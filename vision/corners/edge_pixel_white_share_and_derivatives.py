@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.numba_kernels_and_cell_white_share import (
+from vision.corners.numba_kernels_and_predicted_cell_white_share import (
     NODES,
     SKEW,
     SPAN,
@@ -143,7 +143,7 @@ def _single(
 @inlined_kernel
 def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
-    vision/corners/numba_kernels_and_cell_white_share.py.
+    vision/corners/numba_kernels_and_predicted_cell_white_share.py.
     """
     x, y, lines, levels, looks, slope = pixels.x, pixels.y, pixels.i, pixels.j, pixels.looks, seen.slope
     g = seen.g.astype(np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera
 from vision import lens
-from vision.corners.numba_kernels_and_cell_white_share import inlined_kernel, kernel, order_statistic
+from vision.corners.numba_kernels_and_predicted_cell_white_share import inlined_kernel, kernel, order_statistic
 
 SPACING = 32.0  # px between the table's nodes; four of them to each side interpolate a lens of photographs to 1e-5 px
 BEYOND = 4  # nodes outside the image

@@ -17,7 +17,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Singles
 from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
-from vision.corners.numba_kernels_and_cell_white_share import (
+from vision.corners.numba_kernels_and_predicted_cell_white_share import (
     Tables,
     cholesky_factor,
     cholesky_solve,

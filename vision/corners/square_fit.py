@@ -7,7 +7,8 @@ unknowns), the width of the edges (1), and the grey of black and of white, each 
 brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
 one learnt from the images (vision/corners/edge_spread_function.py), one for each direction of edges. Where two edges
 meet, their product is corrected by a bivariate normal's correlated part
-(vision/corners/numba_kernels_and_cell_white_share.py), because a marker's axes are seldom square in the image.
+(vision/corners/numba_kernels_and_predicted_cell_white_share.py), because a marker's axes are seldom square in the
+image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
@@ -25,7 +26,7 @@ from vision.corners.local_lens_and_fit_start import (
     misread_cell_count,
     square_homography,
 )
-from vision.corners.numba_kernels_and_cell_white_share import (
+from vision.corners.numba_kernels_and_predicted_cell_white_share import (
     STEPS,
     Tables,
     cholesky_factor,

@@ -19,7 +19,7 @@ from vision.corners.edge_pixel_white_share_and_derivatives import (
     fill_strip_white_share_and_derivatives,
 )
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.numba_kernels_and_cell_white_share import (
+from vision.corners.numba_kernels_and_predicted_cell_white_share import (
     Tables,
     cholesky_factor,
     cholesky_solve,

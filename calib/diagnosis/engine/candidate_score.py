@@ -14,7 +14,7 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Cand
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved, normal_equations_by_direction_weights
-from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
+from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Booleans, Floats
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show

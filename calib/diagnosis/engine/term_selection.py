@@ -18,7 +18,7 @@ from calib.diagnosis.engine.candidate_score import (
     score_raised_to_likelihood_ratio,
 )
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
-from calib.diagnosis.engine.finding_confirmation import (
+from calib.diagnosis.engine.confirmation_against_alternatives import (
     Finding,
     confirm_terms,
     is_significant,

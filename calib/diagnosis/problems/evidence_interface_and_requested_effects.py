@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar, runtime_ch
 import numpy as np
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Candidate, NotTested, Outliers, StatedTerms
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
 from calib.diagnosis.engine.term_selection import Selection

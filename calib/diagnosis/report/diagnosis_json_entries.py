@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import StatedTerms
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_lack_of_fit_of_each_place
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     MeasuredFinding,

@@ -56,7 +56,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     errors_at_and_beyond_fitted_joint_angles,
     position_error_statistics,
 )
-from calib.samples.confounded_conditions_and_clocks import Confounds, confound_sentences
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Json
 from rig.formats import local_and_remote_input_files, machine_geometry_and_effects_json_file
 from rig.formats.local_and_remote_input_files import read_text
@@ -361,7 +361,7 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
             for h in diagnosis.held
         ]
     if isinstance(diagnosis.evidence, RegionValidation):
-        out["held_out_by_region"] = held_out_region_gains(diagnosis)
+        out["held_out_by_region"] = finding_gains_by_held_out_region(diagnosis)
     if isinstance(diagnosis.evidence, RepeatedCommands):
         out["repeats"] = repeatability_entry(diagnosis)
     if isinstance(diagnosis.evidence, WeighedPoses):
@@ -383,7 +383,7 @@ def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
     }
 
 
-def held_out_region_gains(diagnosis: Diagnosis) -> list[Json]:
+def finding_gains_by_held_out_region(diagnosis: Diagnosis) -> list[Json]:
     """Gains by each finding, regions of an axis' travel held out: misfit before and after, m, and standard errors."""
     if diagnosis.design is None:
         return []

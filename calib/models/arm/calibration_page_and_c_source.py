@@ -43,7 +43,7 @@ from calib.report.pose_and_effect_figures import FITTED, correction_error_figure
 from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Floats
-from rig.effects.framework.parameters_covariates_and_markers import PLOT_UNITS
+from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import hand_motion_direction_counts

@@ -21,7 +21,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     configuration_numbers,
 )
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.identify.least_squares_and_robust_fit import CONSISTENT, MOST, isolated_outlier_rows
+from calib.identify.bounded_least_squares_and_robust_fit import CONSISTENT, MOST, isolated_outlier_rows
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import KINDS, PLAUSIBLE, Observations, sample_observations
@@ -29,7 +29,7 @@ from calib.models.arm.identification_and_joint_profiles import (
     GATE,
     Identified,
     identify_arm,
-    independent_arm_parameters,
+    independent_arm_parameter_mask,
     require_enough_observations,
 )
 from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
@@ -186,7 +186,7 @@ def _as_stated(found: Identified, measured: str) -> Identified:
     """What was found of an arm measured in part: what nothing tells is as uncertain as a maker's figures are."""
     if measured not in UNPLACED:
         return found
-    untold = independent_arm_parameters(found.arm, "pose") & ~found.rank.free
+    untold = independent_arm_parameter_mask(found.arm, "pose") & ~found.rank.free
     covariance = found.covariance + np.diag(
         np.where(
             untold, [PLAUSIBLE[unit] ** 2 for unit in error_model_and_observations.parameter_units(found.arm)], 0.0
@@ -208,7 +208,7 @@ def _parts(label: Integers) -> Integers:
 def _enough_for_any(samples: Samples, nominal: Arm) -> None:
     """Raises NotEnoughData, with how many it takes, for samples too few to fit the arm at all."""
     kind = sample_observations(samples).kind
-    require_enough_observations(len(samples), KINDS[kind], int(independent_arm_parameters(nominal, kind).sum()))
+    require_enough_observations(len(samples), KINDS[kind], int(independent_arm_parameter_mask(nominal, kind).sum()))
 
 
 def _enough(samples: Samples, found: Identified, label: Integers, parts: Integers) -> bool:
@@ -254,7 +254,7 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
         found = identify_arm(
             replace(observations, q=effective),
             found.arm,
-            independent_arm_parameters(correction.nominal, observations.kind),
+            independent_arm_parameter_mask(correction.nominal, observations.kind),
         )
     return replace(correction, fitted=found.arm, remainder=parts), found
 

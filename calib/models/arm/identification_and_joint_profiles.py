@@ -22,7 +22,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
-from calib.identify.least_squares_and_robust_fit import excess_scatter
+from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, Rank
 from calib.models.arm.error_model_and_observations import parameter_rank as independent
@@ -69,8 +69,8 @@ class Identified:
     tilts: TiltWeights | None = None
 
 
-def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
-    """Which parameters (p,) bool of an arm are independent for a kind of observation.
+def independent_arm_parameter_mask(arm: Arm, observation_kind: str) -> Booleans:
+    """Mask (p,) of an arm's parameters that are independent, for a kind of observation.
 
     4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances, 2 n + 3 for orientations; a slide, of which the
     direction counts and not the place, has two fewer (see calib.models.arm.error_model_and_observations).
@@ -78,8 +78,8 @@ def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
     row's two axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them
     is undefined.
     """
-    if arm.slides.any() or arm.hands or kind in ("orientation", "direction"):
-        return error_model_and_observations.generally_independent_parameters(arm, kind)
+    if arm.slides.any() or arm.hands or observation_kind in ("orientation", "direction"):
+        return error_model_and_observations.generally_independent_parameters(arm, observation_kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)
     parallel = error_model_and_observations.is_next_axis_near_parallel(arm)
@@ -89,9 +89,9 @@ def independent_arm_parameters(arm: Arm, kind: str) -> Booleans:
     base, tool = np.ones(6, bool), np.ones(6, bool)
     if n > 1 and parallel[0]:
         base[2] = False  # the base along axis 1 is d 2 along the parallel axis 2
-    if kind != "pose":
+    if observation_kind != "pose":
         tool[3:] = False
-    if kind == "distance":
+    if observation_kind == "distance":
         base[3:] = False
     return np.concatenate([base, free.ravel(), tool])
 
@@ -108,7 +108,7 @@ def identify_arm(
     Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not
         settle
     """
-    free = independent_arm_parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
+    free = independent_arm_parameter_mask(nominal, observations.kind) if free is None else np.asarray(free, bool)
     k = observations.residuals(nominal).shape[1]
     require_enough_observations(len(observations), k, int(free.sum()))
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))

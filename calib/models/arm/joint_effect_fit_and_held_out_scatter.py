@@ -18,14 +18,14 @@ from calib.certification.held_out_errors import (
     residuals_corrected_for_absorbed_noise,
 )
 from calib.correction.physics_compensation import poses_with_predicted_rotations, samples_with_effects
-from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
+from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
 from calib.models.arm.identification_and_joint_profiles import (
     Identified,
     identify_arm,
-    independent_arm_parameters,
+    independent_arm_parameter_mask,
     whitened_tilt_rows_and_columns,
 )
 from calib.models.arm.tilt_observations import TiltWeights, link_rotation_jacobian_by_joints, tilt_equation_rows
@@ -70,7 +70,7 @@ class History:
         """Identified geometry of samples that were told, by the parameters that the arm as stated has."""
         observations = sample_observations(samples)
         return identify_arm(
-            observations, start, independent_arm_parameters(require_arm(self.design.mechanism), observations.kind)
+            observations, start, independent_arm_parameter_mask(require_arm(self.design.mechanism), observations.kind)
         )
 
     def moved(self, samples: Samples, effects: tuple[Effect, ...], arm: Arm) -> tuple[Floats, Floats, Floats]:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import deflection_under_link_weight, mass_moments_over_stiffness
 from rig.effects.framework.effect import Effect
@@ -161,7 +161,7 @@ def pointing_terms_of_parameters(
     table = ALTAZIMUTH if mount == "altazimuth" else EQUATORIAL
     names = [name for name in table if name != FLEXURE]
     J = _moved(error_model_and_observations.parameter_jacobian(visited, stated), visited, stated)
-    free = independent_arm_parameters(stated, "direction")
+    free = independent_arm_parameter_mask(stated, "direction")
     columns = {name: _column(one, visited, stated) for name, (_, one) in table.items()}
     wanted = np.stack([columns[name] for name in names], axis=1)
     made, *_ = np.linalg.lstsq(J[:, free], wanted)

@@ -68,7 +68,7 @@ def _field_samples(samples: Samples, chain: Chain) -> FieldSamples:
     return FieldSamples(samples.commanded, known.values, variances, ranges)
 
 
-def certify_extended_chain_correction(
+def certify_chain_correction_extension(
     samples: Samples,
     nominal: Chain,
     request: ExtensionRequest,

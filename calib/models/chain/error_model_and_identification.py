@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares_and_robust_fit import MOST as FEW
-from calib.identify.least_squares_and_robust_fit import Linear, excess_scatter, fit_least_squares, robust_fit
+from calib.identify.bounded_least_squares_and_robust_fit import MOST as FEW
+from calib.identify.bounded_least_squares_and_robust_fit import Linear, excess_scatter, fit_least_squares, robust_fit
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.arm.error_model_and_observations import PLAUSIBLE
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters as independent
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask as independent
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import base_motion_columns
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
 from calib.samples.pose_samples import Samples

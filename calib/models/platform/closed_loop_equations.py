@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares_and_robust_fit import Linear
+from calib.identify.bounded_least_squares_and_robust_fit import Linear
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.compute.numba_kernels_and_lazy_exports import njit

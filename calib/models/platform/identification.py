@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.least_squares_and_robust_fit import MOST, Fit, Linear, fit_least_squares, robust_fit
+from calib.identify.bounded_least_squares_and_robust_fit import MOST, Fit, Linear, fit_least_squares, robust_fit
 from calib.models.platform import closed_loop_equations
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.parameters_covariates_and_markers import Context, Linear, Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Context, Linear, Parameter
 from rig.errors import RigError
 from rig.model.base_and_link_tilts import GRAVITY, has_gravity_sensor_channels, logged_gravity
 from rig.model.design import Camera

@@ -9,7 +9,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
-from rig.effects.framework.parameters_covariates_and_markers import (
+from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
     Context,
     Covariate,

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.model.design import Camera, move_edges_inward
 from rig.model.hands_effect_places_and_tolerances import FINDER, Place
 

@@ -49,7 +49,7 @@ from rig.effects.catalogue.travel_heating import TravelHeating
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Parameter, replace_axis_placeholder_in_text
+from rig.effects.framework.parameters_covariates_and_marker_table import Parameter, replace_axis_placeholder_in_text
 from rig.errors import FileError
 from rig.formats.numbers_and_units import range_text
 from rig.model.hands_effect_places_and_tolerances import AXES, Tolerance

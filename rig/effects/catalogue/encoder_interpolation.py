@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.parameters_covariates_and_markers import (
+from rig.effects.framework.parameters_covariates_and_marker_table import (
     Context,
     Covariate,
     Drawing,

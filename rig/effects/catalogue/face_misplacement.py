@@ -6,7 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, markers_with_replaced_columns
+from rig.effects.framework.parameters_covariates_and_marker_table import (
+    Markers,
+    Parameter,
+    markers_with_replaced_columns,
+)
 from rig.model.hands_effect_places_and_tolerances import PLACES, Place
 from rig.model.pose import displace_selected_poses, exp
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.parameters_covariates_and_markers import Context, Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Context, Parameter
 from rig.errors import RigError
 from rig.model.design import Camera
 from rig.model.hands_effect_places_and_tolerances import Place

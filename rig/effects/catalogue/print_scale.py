@@ -4,7 +4,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Markers, Parameter, markers_with_replaced_columns
+from rig.effects.framework.parameters_covariates_and_marker_table import (
+    Markers,
+    Parameter,
+    markers_with_replaced_columns,
+)
 from rig.model.hands_effect_places_and_tolerances import SIDES
 
 

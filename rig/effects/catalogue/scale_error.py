@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.parameters_covariates_and_markers import (
+from rig.effects.framework.parameters_covariates_and_marker_table import (
     ControllerTerm,
     Covariate,
     Parameter,

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
-from rig.effects.framework.parameters_covariates_and_markers import Covariate, Parameter, travel_covariate
+from rig.effects.framework.parameters_covariates_and_marker_table import Covariate, Parameter, travel_covariate
 from rig.effects.framework.shared_effect_laws import lagged_path
 
 

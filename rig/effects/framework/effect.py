@@ -17,7 +17,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import SOON, Motion, Path
-from rig.effects.framework.parameters_covariates_and_markers import (
+from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
     QUADRATURE,
     SEARCHED,

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.formats.checked_entries import NAME
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.hands_effect_places_and_tolerances import AXES, NUMBER, Place

@@ -12,7 +12,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import STEADY, Motion, Path, first_order_lag
-from rig.effects.framework.parameters_covariates_and_markers import (
+from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
     Context,
     Linear,

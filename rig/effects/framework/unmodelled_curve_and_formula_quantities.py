@@ -15,7 +15,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
-from rig.effects.framework.parameters_covariates_and_markers import COUNT, Context, Linear, Node, Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, Context, Linear, Node, Parameter
 from rig.model.hands_effect_places_and_tolerances import AXES
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")

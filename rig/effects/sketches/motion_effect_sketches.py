@@ -15,7 +15,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.parameters_covariates_and_markers import Drawing, Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, Parameter
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_from_rig_toml

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.framework.parameters_covariates_and_markers import Context, Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Context, Parameter
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr

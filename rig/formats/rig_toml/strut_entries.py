@@ -5,8 +5,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Hexapod, Planar2
+from rig.model.mechanisms.best_six_legs_and_loop_closures import hexapod_of_actuated_struts
 from rig.model.mechanisms.hexapod import singular_geometry_problem
-from rig.model.mechanisms.redundant_struts import hexapod_of_actuated_struts
 
 SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in mm is in metres
 

@@ -27,7 +27,7 @@ from calib.certification.pose_error_promise_and_conformity import (
 from calib.correction.correction import calibrate_correction
 from calib.samples.pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.parameters_covariates_and_markers import Drawing
+from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.errors import NotConverged
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import exp, pose_difference

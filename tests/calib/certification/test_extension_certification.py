@@ -15,7 +15,7 @@ from calib.certification.extended_correction_certification import (
     claim_without_geometry,
 )
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
-from calib.correction.interpolation_methods_and_correction_summand_fields import single_step_command_errors
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import single_step_command_errors
 from calib.files import calibration_file
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod

@@ -29,7 +29,7 @@ from calib.certification.held_out_errors import (
 from calib.correction.correction import Correction, solvable_commands_and_poses
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm as certify_arm
-from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim as promised_arm
+from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim as promised_arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from tests.calib import secret_arms as worlds

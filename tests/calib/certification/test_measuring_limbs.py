@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certification import measuring_limb_identification_and_agreement
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.rig_toml import design_from_rig_toml

@@ -6,7 +6,7 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import verification_line
 from calib.certification.held_out_errors import compare_errors, error_statistics
 from calib.certification.platform_certification import certify_platform
-from calib.identify.least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from tests.calib.noisy_samples import sampled
 
 

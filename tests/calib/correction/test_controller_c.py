@@ -15,7 +15,7 @@ from calib.api.correct import CorrectOptions, correct
 from calib.api.export_to_other_programs import export
 from calib.correction.correction import Correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     correction_with_pose_space_map,
     fit_field,
     home_pose,

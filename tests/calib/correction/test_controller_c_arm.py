@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.correct import CorrectOptions, correct
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_correction_summand_fields import fit_field
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import fit_field
 from calib.correction.physics_compensation import Physics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile

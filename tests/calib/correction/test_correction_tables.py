@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correction import interpolation_methods_and_correction_summand_fields
+from calib.correction import interpolation_methods_and_interpolated_correction_summands
 from calib.correction.correction import Correction
 from calib.correction.correction_tables import (
     axis_correction_tables,
@@ -15,7 +15,7 @@ from calib.correction.correction_tables import (
     strut_correction_summands,
 )
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_correction_summand_fields import measured_correction_summands
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import measured_correction_summands
 from rig.formats.exporters import geometry_and_camera_files
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_generators import sobol_configurations
@@ -28,7 +28,7 @@ def additive(design):
     m = design.mechanism
     x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = 5e-5 * np.sin((x - m.strut_range.mean(axis=1)) / 0.02)
-    field = interpolation_methods_and_correction_summand_fields.fit_field(
+    field = interpolation_methods_and_interpolated_correction_summands.fit_field(
         "axes", FieldSamples(x, values, np.full(values.shape, 1e-14), m.strut_range)
     )
     return Correction(m, replace(m, strut_zeros=m.strut_zeros + 3e-4), (None,) * 6, extension=field)
@@ -62,7 +62,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
     x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = np.zeros(x.shape)
     values[:, 1] = 1e-3 * (x[:, 0] - m.strut_range[0].mean())
-    field = interpolation_methods_and_correction_summand_fields.fit_field(
+    field = interpolation_methods_and_interpolated_correction_summands.fit_field(
         "polynomial", FieldSamples(x, values, np.full(x.shape, 1e-14), m.strut_range)
     )
     found = axis_correction_tables(Correction(m, m, (None,) * 6, extension=field), 9)

@@ -11,7 +11,7 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction, calibrate_correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_correction_summand_fields import (
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
     correction_with_pose_space_map,
     fit_field,
     home_pose,

@@ -13,7 +13,7 @@ from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.problems.arm import arm_recording_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
-from calib.identify.least_squares_and_robust_fit import (
+from calib.identify.bounded_least_squares_and_robust_fit import (
     MOST,
     has_several_deviating_numbers,
     isolated_outlier_rows,
@@ -21,7 +21,7 @@ from calib.identify.least_squares_and_robust_fit import (
     tail_quantile_ratio_to_normal_within_gate,
 )
 from calib.models.arm.certification import certify_arm as arm_certify
-from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim as arm_promised
+from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim as arm_promised
 from calib.models.platform.identification import Loops, identify_platform
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import frame_motion_columns
 from calib.models.platform.identification import identify_platform
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, RigError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters

@@ -11,7 +11,7 @@ from calib.certification import measuring_limb_identification_and_agreement
 from calib.certification.redundant_limb_checks import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
-from calib.online.information_filter import Online
+from calib.online.hexapod_information_filter import Online
 from calib.online.measuring_limb_poses_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.samples.confounded_conditions_and_clocks import (
+from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
     recording_and_poses_on_one_clock,
 )

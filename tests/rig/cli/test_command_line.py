@@ -19,7 +19,7 @@ import pytest
 from rig.cli import command_line as cli
 from rig.cli.command_line import command_line_parser, main
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, GROUPS
-from rig.cli.shared.argument_parsing import join_negative_numbers, nearest_word, parse_length_and_angle
+from rig.cli.shared.argument_parser_and_option_values import join_negative_numbers, nearest_word, parse_length_and_angle
 from rig.cli.shared.output_display import Progress, progress_line
 from rig.compute import installation_inventory
 from rig.effects.catalogue.effect_list import ALL

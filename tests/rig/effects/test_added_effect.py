@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.base import Effect, Motion, Parameter
-from rig.effects.framework.parameters_covariates_and_markers import Covariate
+from rig.effects.framework.parameters_covariates_and_marker_table import Covariate
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.catalogue.scale_error import ScaleError
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.effects.sketches.motion_effect_sketches import Sketch
 from rig.errors import RigError
 from rig.report.pages.page_templates_and_index_page import standalone_svg

@@ -12,7 +12,7 @@ from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.framework.machine_motion_and_play import Path
-from rig.effects.framework.parameters_covariates_and_markers import Drawing
+from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation

@@ -11,7 +11,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     check_effect_place_and_parameter_bounds,
     fit_coordinates_of_effects,
 )
-from rig.effects.framework.parameters_covariates_and_markers import Linear
+from rig.effects.framework.parameters_covariates_and_marker_table import Linear
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Commands, Sensors

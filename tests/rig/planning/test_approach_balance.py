@@ -5,7 +5,7 @@ count, same from run to run.
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions_and_clocks import Confounds, confounds_of_experimental_design
+from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_experimental_design
 from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design

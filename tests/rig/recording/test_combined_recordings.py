@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.framework.parameters_covariates_and_markers import Drawing
+from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector

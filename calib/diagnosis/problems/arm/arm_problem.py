@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.confirmation_against_alternatives import labelled_progress
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,
@@ -19,7 +20,6 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
-from calib.diagnosis.engine.finding_confirmation import labelled_progress
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
@@ -45,7 +45,7 @@ from calib.diagnosis.problems.arm.scores_of_all_candidates import (
     score_candidates,
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses
-from calib.identify.least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.hands_effect_places_and_tolerances import Place

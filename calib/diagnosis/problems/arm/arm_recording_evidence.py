@@ -19,8 +19,8 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     Outliers,
     StatedTerms,
 )
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_selection import Selection
@@ -71,7 +71,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     smooth_temperatures,
     time_cosines,
 )
-from calib.identify.least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
+from calib.identify.bounded_least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import UNSTATED, JointFit
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers

@@ -16,8 +16,8 @@ import scipy
 from scipy.linalg import cho_solve
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_direction_weights, solve_with_prior
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
     SPAN,
@@ -37,7 +37,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     value_with_interval_cut_at_bounds,
 )
 from rig.array_and_json_types import Floats
-from rig.effects.framework.parameters_covariates_and_markers import Parameter
+from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model import motion_simulation
 from rig.recording.recording_folder import Sensors

@@ -35,7 +35,7 @@ from rig.effects.catalogue.effect_list import lean_under_link_weight
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.framework.parameters_covariates_and_markers import COUNT, QUADRATURE
+from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, QUADRATURE
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm

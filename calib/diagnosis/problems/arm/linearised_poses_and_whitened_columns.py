@@ -26,7 +26,7 @@ from calib.models.chain.error_model_and_identification import identify_chain
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.parameters_covariates_and_markers import Context
+from rig.effects.framework.parameters_covariates_and_marker_table import Context
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.samples.pose_samples import Samples
 from rig.errors import NotEnoughData
@@ -50,7 +50,7 @@ def minimum_pose_count(
 def require_enough_poses(samples: Samples, design: Design) -> None:
     """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
     if samples.measured == "direction":
-        k, freedoms = 2, int(independent_arm_parameters(require_arm(design.mechanism), "direction").sum())
+        k, freedoms = 2, int(independent_arm_parameter_mask(require_arm(design.mechanism), "direction").sum())
     else:
         k = 6 if samples.measured == "pose" else 3
         names = independent_parameter_names_units_sizes_and_jacobian(design.mechanism).names

@@ -11,7 +11,7 @@ from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans
-from rig.effects.framework.parameters_covariates_and_markers import COUNT
+from rig.effects.framework.parameters_covariates_and_marker_table import COUNT
 
 FINE = 0.3  # step between orders, of what a joint's travel resolves
 CYCLES = 2  # sinusoids that a profile is tried to be made of

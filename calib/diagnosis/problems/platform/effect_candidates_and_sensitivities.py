@@ -23,7 +23,7 @@ from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.effects.framework.parameters_covariates_and_markers import COUNT, QUADRATURE, Context, Linear
+from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, QUADRATURE, Context, Linear
 from rig.model.hands_effect_places_and_tolerances import Place
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is

@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.smooth_functions import SLOW
 from calib.diagnosis.problems.remainder_covariates_and_repeatability import time_cosines
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.parameters_covariates_and_markers import Linear
+from rig.effects.framework.parameters_covariates_and_marker_table import Linear
 from rig.model import mechanisms
 from rig.model.hands_effect_places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
 from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES

@@ -33,7 +33,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     centred_and_scaled_to_plus_minus_one,
     time_cosines,
 )
-from calib.identify.least_squares_and_robust_fit import (
+from calib.identify.bounded_least_squares_and_robust_fit import (
     ALIKE,
     CONSISTENT,
     IN_PLACE,

@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NotTested, Outliers, StatedTerms
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_confirmation import Finding
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (

@@ -38,7 +38,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     split_rows_by_frame_bases,
 )
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.identify.least_squares_and_robust_fit import bounded_least_squares_step
+from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (

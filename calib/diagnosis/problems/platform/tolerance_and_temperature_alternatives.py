@@ -12,8 +12,8 @@ import scipy
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding, is_finding_significant, is_significant
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.finding_confirmation import Finding, is_finding_significant, is_significant
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value

@@ -13,7 +13,7 @@ from calib.files import calibration_file
 from calib.models.arm import certification as certifying
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm, certify_arm
-from calib.models.arm.joint_space_correction_and_claim import arm_workspace_claim
+from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
 from rig.model.pose import exp, pose_difference, pose_to_vector

@@ -11,12 +11,15 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import ExtensionRequest
-from calib.correction.interpolation_methods_and_correction_summand_fields import field_from_entries, field_to_dict
+from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+    field_from_entries,
+    field_to_dict,
+)
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance
-from calib.models.arm.joint_space_correction_and_claim import (
-    certify_extended_arm_correction,
+from calib.models.arm.joint_space_correction_and_workspace_claim import (
+    certify_arm_correction_extension,
     claim_without_geometry,
     joint_correction_field_samples,
     nominal_arm_correction,
@@ -70,7 +73,7 @@ def gridded():
 @pytest.mark.parametrize("alone", [False, True])
 def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridded, alone):
     samples, true = gridded
-    done, tried = certify_extended_arm_correction(
+    done, tried = certify_arm_correction_extension(
         samples, UR10, worlds.TRACKER, ExtensionRequest("simplex", alone), np.random.default_rng(0)
     )
     on = slice(0, 64)
@@ -95,7 +98,7 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
 
 def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     samples, true = gridded
-    done, _ = certify_extended_arm_correction(
+    done, _ = certify_arm_correction_extension(
         samples, UR10, worlds.TRACKER, ExtensionRequest("linear", True), np.random.default_rng(0)
     )
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
@@ -141,7 +144,7 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
 def test_what_cannot_serve_is_refused_by_name(gridded):
     samples, true = gridded
     with pytest.raises(RigError, match="the 30 samples fill no grid .* over 6 axes it has 64 vertices at least"):
-        certify_extended_arm_correction(
+        certify_arm_correction_extension(
             samples.take(slice(64, 94)),
             UR10,
             worlds.TRACKER,
@@ -150,7 +153,7 @@ def test_what_cannot_serve_is_refused_by_name(gridded):
         )
     turned = replace(samples, covariance=np.where(np.eye(6) * np.r_[1, 1, 1, 0, 0, 0] > 0, np.inf, samples.covariance))
     with pytest.raises(RigError, match="--extend takes an arm's poses, or its positions.* orientations alone"):
-        certify_extended_arm_correction(
+        certify_arm_correction_extension(
             turned, UR10, worlds.TRACKER, ExtensionRequest("radial", False), np.random.default_rng(0)
         )
 
@@ -214,7 +217,7 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     """Its own standard error, of sizes and smoothness as they are likeliest, is less than half of that."""
     true, box = worlds.secret(UR10, np.random.default_rng(3)), BOX + [-0.45, 0.45]
     samples = samples_at(sobol_configurations(box, 100, 1.0, 1), true)
-    done, _ = certify_extended_arm_correction(
+    done, _ = certify_arm_correction_extension(
         samples, UR10, worlds.TRACKER, ExtensionRequest("radial", True), np.random.default_rng(0)
     )
     claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), sobol_configurations(box, 256, 0.8, 7)

@@ -10,7 +10,7 @@ import pytest
 from calib.api.plan import PlanOptions, plan
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import Observations, pose_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import NotEnoughData
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.base_and_link_tilts import TiltReadings, TiltSensor
@@ -78,7 +78,7 @@ def test_rows_of_other_instruments_agree_with_differences(make):
 @pytest.mark.parametrize("nominal", [UR10, SEVEN], ids=["UR10", "seven"])
 @pytest.mark.parametrize("kind, extra", [("pose", 6), ("position", 3), ("distance", 0)])
 def test_counts_of_independent_parameters(nominal, kind, extra):
-    assert independent_arm_parameters(nominal, kind).sum() == 4 * len(nominal.joints) + extra
+    assert independent_arm_parameter_mask(nominal, kind).sum() == 4 * len(nominal.joints) + extra
 
 
 @pytest.mark.parametrize("base", [True, False])
@@ -121,7 +121,7 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
 
 @pytest.mark.slow
 def test_parameters_lie_within_three_sigma():
-    free = independent_arm_parameters(UR10, "pose")
+    free = independent_arm_parameter_mask(UR10, "pose")
     z = []
     for seed in range(8):
         rng = np.random.default_rng(seed)

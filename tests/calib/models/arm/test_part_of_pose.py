@@ -10,7 +10,7 @@ import pytest
 
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.error_model_and_observations import orientation_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.errors import FileError, RigError
 from rig.model.pose import exp, pose, pose_difference
@@ -56,7 +56,7 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
         assert (
             found.rank.free.sum()
-            == independent_arm_parameters(nominal, "orientation").sum()
+            == independent_arm_parameter_mask(nominal, "orientation").sum()
             == 2 * len(nominal.joints) + 3
             and not found.scatter.any()
         )

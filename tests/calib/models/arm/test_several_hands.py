@@ -12,7 +12,7 @@ import synthetic
 from calib.certification.calibration_evidence_verdict_and_claim_check import verify_claim_on_samples
 from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.models.arm import error_model_and_observations as model
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from rig.errors import NotEnoughData
 from rig.model.hands_effect_places_and_tolerances import Branch, Hand
@@ -62,7 +62,7 @@ def test_the_parameter_jacobian_is_the_derivative_of_every_hands_pose(arm):
 def test_as_many_parameters_are_independent_as_the_rank_of_all_hands_together(make, count):
     """Each further hand adds six, where its target sits; counted by the rank of the whole Jacobian at random arms."""
     arm, rng = make(), np.random.default_rng(8)
-    free = independent_arm_parameters(arm, "pose")
+    free = independent_arm_parameter_mask(arm, "pose")
     assert free.sum() == count
     arm = replace(arm, hand=0).with_ends(tool=pose(rng.normal(size=3), rng.normal(size=3)))
     q = rng.uniform(*arm.limits.T, (200, len(arm.limits)))
@@ -79,7 +79,7 @@ def test_exact_poses_give_the_arm_back_and_its_base_and_tools_are_placed(make):
         true = true.of_hand(number).with_ends(tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3)))
     seen = observed(true, 60, rng, noise=np.zeros(6))
     found = identify_arm(
-        seen, place_base_and_tool_of_arm(seen, nominal, True, True), independent_arm_parameters(nominal, "pose")
+        seen, place_base_and_tool_of_arm(seen, nominal, True, True), independent_arm_parameter_mask(nominal, "pose")
     )
     assert np.abs(found.residuals).max() < 1e-9 and found.inliers.all()
     elsewhere = observed(true, 30, rng, noise=np.zeros(6))

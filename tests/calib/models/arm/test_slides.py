@@ -10,7 +10,7 @@ import pytest
 from calib.models.arm import error_model_and_observations, instrument_placement
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import pose_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import Unreachable
 from rig.model.pose import exp, log
 from tests.calib import secret_arms as worlds
@@ -21,7 +21,7 @@ ARMS = {"6R": UR10, "scara": SCARA, "gantry": GANTRY}
 
 def scores(nominal, seeds, count=80):
     """(seeds, parameters) errors of arms found from a tracker's poses, in the standard deviations stated."""
-    free, out = independent_arm_parameters(nominal, "pose"), []
+    free, out = independent_arm_parameter_mask(nominal, "pose"), []
     for seed in seeds:
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
@@ -41,7 +41,7 @@ def test_counts_of_independent_parameters(arm, kind, extra):
     slides = arm.slides.sum()
     assert (
         error_model_and_observations.generally_independent_parameters(arm, kind).sum()
-        == independent_arm_parameters(arm, kind).sum()
+        == independent_arm_parameter_mask(arm, kind).sum()
         == 4 * (len(arm.slides) - slides) + 2 * slides + extra
     )
 

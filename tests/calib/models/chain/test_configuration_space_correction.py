@@ -12,7 +12,7 @@ from calib.certification.extended_correction_certification import ExtensionReque
 from calib.files import calibration_file
 from calib.models.chain.certification_and_page import chain_pose_covariance, chain_workspace_claim
 from calib.models.chain.configuration_space_correction import (
-    certify_extended_chain_correction,
+    certify_chain_correction_extension,
     chain_correction_summands,
     single_step_chain_correction_errors,
 )
@@ -75,7 +75,7 @@ def test_commands_lead_to_wanted_poses_closer_than_any_geometry(machine, kind, a
         else [sobol_configurations(box, 200, 1.0, 3)]
     )
     samples, rng = samples_at(x, machine), np.random.default_rng(0)
-    done, tried = certify_extended_chain_correction(samples, nominal, ExtensionRequest(kind, alone), rng)
+    done, tried = certify_chain_correction_extension(samples, nominal, ExtensionRequest(kind, alone), rng)
     assert [one.kind for one in tried if one.chosen] == [kind] and (done.correction.fitted is nominal) == alone
     claim = chain_workspace_claim(samples, done, rng)
     calibration_file.save(
@@ -103,6 +103,6 @@ def test_commands_lead_to_wanted_poses_closer_than_any_geometry(machine, kind, a
 
 def test_nothing_is_claimed_where_nothing_could_be_held_out(machine):
     samples, rng = samples_at(divided_grid_configurations(machine[2], "1@1"), machine), np.random.default_rng(0)
-    done, _ = certify_extended_chain_correction(samples, machine[0], ExtensionRequest("linear", True), rng)
+    done, _ = certify_chain_correction_extension(samples, machine[0], ExtensionRequest("linear", True), rng)
     claim = chain_workspace_claim(samples, done, rng)
     assert done.left is None and done.held_out is None and not claim.determined, claim

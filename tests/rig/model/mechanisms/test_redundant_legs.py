@@ -16,7 +16,7 @@ from calib.files import calibration_file
 from calib.online import accepted_limbs_file
 from rig.cli.command_line import main
 from rig.errors import RigError
-from rig.model.mechanisms import hexapod, redundant_struts
+from rig.model.mechanisms import best_six_legs_and_loop_closures, hexapod
 from rig.planning.configuration_generators import sobol_configurations
 
 
@@ -34,7 +34,7 @@ def machine(limbed):
 
 def legs(machine, sigma=(1e-6, 1e-6), covariance=None):
     none = np.zeros((42, 42))
-    return redundant_struts.combine_leg_sets(
+    return best_six_legs_and_loop_closures.combine_leg_sets(
         [
             (letter, m, np.full(6, s), none if covariance is None else covariance)
             for letter, m, s in zip("lm", machine[:2], sigma)
@@ -48,7 +48,7 @@ def lengths(machine):
 
 
 def test_legs_that_are_as_stated_close(machine):
-    found = redundant_struts.leg_closures(legs(machine), lengths(machine), np.array([0, 2, 4, 7, 9, 11]))
+    found = best_six_legs_and_loop_closures.leg_closures(legs(machine), lengths(machine), np.array([0, 2, 4, 7, 9, 11]))
     assert np.abs(found.error).max() < 1e-10 and found.checks.tolist() == [1, 3, 5, 6, 8, 10]
 
 
@@ -77,7 +77,9 @@ def test_closures_scatter_as_expected_of_readings_and_geometry(machine):
                 for name, key in (("base", "base_joints"), ("platform", "platform_joints"), ("zeros", "strut_zeros"))
             },
         )
-        found = redundant_struts.leg_closures(as_believed, read + of.sigma * rng.normal(size=read.shape), chosen)
+        found = best_six_legs_and_loop_closures.leg_closures(
+            as_believed, read + of.sigma * rng.normal(size=read.shape), chosen
+        )
         ratios.append((found.error**2).mean(axis=0) / np.einsum("nii->ni", found.covariance).mean(axis=0))
     assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.25) and np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
@@ -86,7 +88,7 @@ def test_the_best_six_are_the_best_of_all(machine):
     of, T = legs(machine, (3e-6, 1e-6)), machine[2][:8]
     size = np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean()
     J = (
-        redundant_struts.leg_lengths_and_pose_and_base_jacobians(of, T)[1]
+        best_six_legs_and_loop_closures.leg_lengths_and_pose_and_base_jacobians(of, T)[1]
         / np.repeat([1.0, size], 3)
         / of.sigma[:, None]
     )
@@ -94,17 +96,17 @@ def test_the_best_six_are_the_best_of_all(machine):
         six: min(np.linalg.svd(one[list(six)], compute_uv=False)[-1] for one in J)
         for six in list(combinations(range(12), 6))[::7]
     }
-    best = redundant_struts.best_six_legs(of, T)
+    best = best_six_legs_and_loop_closures.best_six_legs(of, T)
     assert min(np.linalg.svd(one[best], compute_uv=False)[-1] for one in J) >= max(least.values())
-    assert not set(range(6)) & set(redundant_struts.best_six_legs(legs(machine, (1e-3, 1e-6)), T).tolist()), (
-        "struts that nobody knows are not chosen"
-    )
+    assert not set(range(6)) & set(
+        best_six_legs_and_loop_closures.best_six_legs(legs(machine, (1e-3, 1e-6)), T).tolist()
+    ), "struts that nobody knows are not chosen"
 
 
 def test_a_leg_that_is_off_is_named_whether_it_was_chosen_or_not(machine):
     for leg in (3, 8):
         read = lengths(machine) + 1e-6 * np.random.default_rng(0).normal(size=(40, 12)) - 3e-5 * np.eye(12)[leg]
-        found = redundant_struts.leg_closures(legs(machine), read, np.array([0, 1, 2, 3, 4, 5]))
+        found = best_six_legs_and_loop_closures.leg_closures(legs(machine), read, np.array([0, 1, 2, 3, 4, 5]))
         assert (
             found.share.argmax() == leg and found.off[leg] == pytest.approx(-3e-5, abs=2e-6) and found.share[leg] > 0.95
         )
@@ -116,7 +118,7 @@ def test_legs_that_leave_the_platform_loose_are_refused(machine):
         m, base_joints=m.base_joints[[0, 0, 1, 1, 2, 2]], platform_joints=m.platform_joints[[0, 0, 1, 1, 2, 2]]
     )
     with pytest.raises(RigError):
-        redundant_struts.leg_closures(
+        best_six_legs_and_loop_closures.leg_closures(
             legs((flat, machine[1])),
             np.hstack([hexapod.inverse(machine[2], one) for one in (flat, machine[1])]),
             np.arange(6),

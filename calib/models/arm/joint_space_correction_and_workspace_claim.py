@@ -52,7 +52,7 @@ from calib.models.arm.error_model_and_observations import (
     predicted_target_poses,
     sample_observations,
 )
-from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameters
+from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameter_mask
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     held_out_geometry_errors,
     identification_with_held_out_scatter,
@@ -114,7 +114,7 @@ def commanded_minus_joint_values_of_measured_poses(
     )
 
 
-def certify_extended_arm_correction(
+def certify_arm_correction_extension(
     samples: Samples,
     nominal: Arm,
     instrument: Instrument | None,
@@ -219,7 +219,7 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
             found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared)
         )
     repeated = identify_arm(
-        effective, correction.fitted, independent_arm_parameters(correction.nominal, effective.kind)
+        effective, correction.fitted, independent_arm_parameter_mask(correction.nominal, effective.kind)
     )
     return replace(repeated, arm=found.arm, rank=found.rank)
 
@@ -339,7 +339,7 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
         words,
     )
     observed = sample_observations(each)
-    free = independent_arm_parameters(
+    free = independent_arm_parameter_mask(
         correction.nominal, observed.kind
     )  # of the figures stated: axes found a little off parallel tell no more
     repeated = identify_arm(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
