@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -380,6 +381,7 @@ def move_edges_inward(quads: Floats, distance: float) -> Floats:
 _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 
 
+@lru_cache(maxsize=256)
 def markers_of_target(target: Target) -> tuple[Marker, ...]:
     """Markers of a target: its listed ones, or those on a cube's faces, top to +z on the sides and to +y on +z and -z.
 
@@ -387,13 +389,12 @@ def markers_of_target(target: Target) -> tuple[Marker, ...]:
     """
     if target.listed:
         return target.listed
-    edge, side = target.edge, target.marker
+    edge, side, seat = target.edge, target.marker, target.seat
     if edge is None or side is None:
         raise ValueError(
             f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with "
             f"{edge} and {side}"
         )
-    seat = target.seat
     return tuple(Marker(number, side, seat * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
 
 
@@ -404,7 +405,6 @@ def face_pose(face: str, edge: float) -> RigidTransform:
     """
     if face not in FACES:
         raise ValueError(f"expected a face out of {FACES}, got {face!r}")
-    out = np.array(_OUT[face], float)
-    up = np.array([0, 1, 0] if face[1] == "z" else [0, 0, 1], float)
-    rotation = Rotation.from_matrix(np.stack([np.cross(up, out), up, out], axis=-1))
-    return RigidTransform.from_components(out * edge / 2, rotation)
+    out, up = np.array(_OUT[face], float), np.array([0, 1, 0] if face[1] == "z" else [0, 0, 1], float)
+    matrix = np.stack([np.cross(up, out), up, out], axis=-1)
+    return RigidTransform.from_components(out * edge / 2, Rotation.from_matrix(matrix))
