@@ -16,7 +16,7 @@ from rig.errors import FileError
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.checks.corner_and_lens_convention_trials import FRAMES
-from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, opencv_detector
+from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, read_marker_ids
 from vision.predict import MarkerMap, marker_map
 from vision.reading.marker_identity_and_expected_places import FAMILIES
 from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_threads
@@ -112,7 +112,9 @@ def _other_dictionary_mistakes(images: list[Pixels], seen: Counter[int], markers
     some = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, min(TRIED, len(images))).round().astype(int))]
     ids = {name: {int(number) for number, target in zip(markers.id, markers.target) if target == name} for name in lost}
     stated = {name: dictionary for name, dictionary in zip(markers.target, markers.dictionary)}
-    votes = {family: Counter(number for image in some for number in _numbers(image, family)) for family in FAMILIES}
+    votes = {
+        family: Counter(number for image in some for number in read_marker_ids(image, family)) for family in FAMILIES
+    }
     found: dict[str, list[str]] = {}
     for name in lost:
         count = {
@@ -157,7 +159,7 @@ def _none(images: list[Pixels], markers: MarkerMap, votes: dict[str, Counter[int
                 sum(
                     number in set(markers.id.tolist())
                     for image in images
-                    for number in _numbers(cv2.flip(image, code), family)
+                    for number in read_marker_ids(cv2.flip(image, code), family)
                 )
                 >= LEAST
             ):
@@ -169,7 +171,11 @@ def _none(images: list[Pixels], markers: MarkerMap, votes: dict[str, Counter[int
                 )
                 return
         if (
-            sum(number in set(markers.id.tolist()) for image in images for number in _numbers(255 - image, family))
+            sum(
+                number in set(markers.id.tolist())
+                for image in images
+                for number in read_marker_ids(255 - image, family)
+            )
             >= LEAST
         ):
             yield Mistake(
@@ -194,11 +200,6 @@ def _none(images: list[Pixels], markers: MarkerMap, votes: dict[str, Counter[int
             True,
             0.5,
         )
-
-
-def _numbers(image: Pixels, name: str) -> list[int]:
-    ids = opencv_detector(name).detectMarkers(image)[1]
-    return [] if ids is None else [int(number) for number in ids.ravel()]
 
 
 def _kin(family: str, stated: str) -> bool:

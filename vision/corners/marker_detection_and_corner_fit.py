@@ -70,6 +70,12 @@ def opencv_detector(dictionary_name: str, numbers: tuple[int, ...] = ()) -> cv2.
     return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
+def read_marker_ids(image: Pixels, dictionary_name: str) -> list[int]:
+    """Identities of a dictionary's markers that OpenCV reads in an image, repeated ones each."""
+    ids = opencv_detector(dictionary_name).detectMarkers(image)[1]
+    return [] if ids is None else [int(number) for number in ids.ravel()]
+
+
 def read_markers(image: Pixels, marker_map: MarkerMap) -> ReadMarkers:
     """Read the markers of a rig in a whole image (height, width) uint8.
 

@@ -23,7 +23,7 @@ from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
-from vision.corners.marker_detection_and_corner_fit import opencv_detector
+from vision.corners.marker_detection_and_corner_fit import opencv_detector, read_marker_ids
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
 from vision.predict import (
@@ -245,7 +245,7 @@ def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
         if sum(seen):
             return f"{sum(seen)} markers of {name} are seen mirrored: the images are mirrored, left to right"
     for name in stated:
-        strange = {number for image in images for number in _numbers(image, name)} - set(marker_map.id.tolist())
+        strange = {number for image in images for number in read_marker_ids(image, name)} - set(marker_map.id.tolist())
         if strange:
             return (
                 f"markers of {name} are seen, but other markers than rig.toml has: "
@@ -268,13 +268,8 @@ def no_marker_reason(images: Sequence[Pixels], marker_map: MarkerMap) -> str:
     return ""
 
 
-def _numbers(image: Pixels, name: str) -> list[int]:
-    ids = opencv_detector(name).detectMarkers(image)[1]
-    return [] if ids is None else [int(number) for number in ids.ravel()]
-
-
 def _count(image: Pixels, name: str, wanted: Integers) -> int:
-    return int(np.isin(_numbers(image, name), wanted).sum())
+    return int(np.isin(read_marker_ids(image, name), wanted).sum())
 
 
 WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following
