@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter
+from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
 from rig.model.mechanisms.arm import link_weight_base_moments
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
     Context,
@@ -21,6 +21,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     load_covariate,
     log_uniform,
 )
+from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
 from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links

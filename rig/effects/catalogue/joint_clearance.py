@@ -11,8 +11,9 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.compliance import places_loaded_by_links_only
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion_and_play import Motion, independent_load_columns
+from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter, load_covariate
+from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
 
 NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side

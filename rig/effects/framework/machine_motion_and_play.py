@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import qr
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
@@ -24,20 +23,28 @@ from rig.recording.recording_folder import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
 STEADY = 1e-6  # of the greatest speed, by which two speeds are the same
-FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
-RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
     """Commanded values through time, linear between knots: t (m,) s, lengths (m, axes) m or rad; at : (n,) the knots of
     the exposures
-    starts : (k,) s, knots at which history begins anew: another recording of the same machine."""
+    starts : (k,) s, knots at which history begins anew: another recording of the same machine
+    turned : (j,) s at which the command's speed changes where the path lags behind it, else None"""
 
     t: Floats
     lengths: Floats
     at: Integers
     starts: Floats = field(default_factory=lambda: np.zeros(0))
+    turned: Floats | None = None
+
+    @property
+    def turns(self) -> Floats:
+        """(j,) s at which the command's speed changes."""
+        if self.turned is not None:
+            return self.turned
+        speeds = self.speeds
+        return self.t[:-1][np.abs(np.diff(speeds, axis=0)).max(axis=1) > STEADY * np.abs(speeds).max()]
 
     def with_knots(self, times: Floats) -> "Path":
         """The same path with knots added at times (k,) s."""
@@ -331,14 +338,6 @@ class Motion:
             ("links",),
             lambda: self.kind.link_weight_loads(self.T, self.lengths, self.mechanism, self.gravity_in_base()),
         )
-
-
-def independent_load_columns(load_table: Floats) -> Floats:
-    """Independent columns (indices) of a joint's load table (n, c), of those that vary with the posture."""
-    if not load_table.shape[1]:
-        return np.zeros(0, int)
-    _, r, order = qr((load_table - load_table.mean(axis=0)) / np.sqrt(len(load_table)), mode="economic", pivoting=True)
-    return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])
 
 
 def play_operator(lengths: Floats, half_width: float) -> Floats:

@@ -8,10 +8,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
+from scipy.linalg import qr
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Candidate, Effect
-from rig.effects.framework.machine_motion_and_play import STEADY, Motion, Path, first_order_lag
+from rig.effects.framework.machine_motion_and_play import Motion, Path, first_order_lag
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
     Context,
@@ -31,13 +32,26 @@ def lagged_lengths(path: Path, time_constant: float) -> Floats:
 
 
 def lagged_path(path: Path, time_constant: float, lagging_axes: Booleans) -> Path:
-    """Path of which some axes lag by a time constant (s), with knots where a change of their speed still shows.
+    """Path of which some axes lag by a time constant (s), with knots where a change of the command's speed still shows.
 
+    Of a path that lags already the command's turns count, not the knots that its lag has bent.
     lagging_axes : (axes,) whether an axis lags
     """
-    turned = np.abs(np.diff(path.speeds[:, lagging_axes], axis=0)).max(axis=1) > STEADY * np.abs(path.speeds).max()
-    path = path.with_knots((path.t[:-1][turned, None] + AFTER * time_constant).ravel())
+    turns = path.turns
+    path = replace(path.with_knots((turns[:, None] + AFTER * time_constant).ravel()), turned=turns)
     return replace(path, lengths=np.where(lagging_axes, lagged_lengths(path, time_constant), path.lengths))
+
+
+FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
+RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
+
+
+def independent_load_columns(load_table: Floats) -> Floats:
+    """Independent columns (indices) of a joint's load table (n, c), of those that vary with the posture."""
+    if not load_table.shape[1]:
+        return np.zeros(0, int)
+    _, r, order = qr((load_table - load_table.mean(axis=0)) / np.sqrt(len(load_table)), mode="economic", pivoting=True)
+    return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])
 
 
 ROUNDED = 1e-3  # by which the sum of shares that somebody writes may differ from 1

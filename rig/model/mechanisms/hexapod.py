@@ -371,6 +371,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
     return float(values[-1] / values[0])
 
 
+@lru_cache(16)  # effects ask it of the same poses again and again
 def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
     """Twist (..., struts) rad of each strut's platform-side cardan against its base-side one, about the strut.
 
@@ -385,7 +386,9 @@ def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> F
         (R @ cardan_plate_axes(mechanism.platform_joints)[..., None])[..., 0],
     )
     a, b = np.cross(u, np.broadcast_to(base, u.shape)), np.cross(u, moved)
-    return np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
+    twist = np.arctan2(np.einsum("...i,...i->...", np.cross(a, b), u), np.einsum("...i,...i->...", a, b))
+    twist.setflags(write=False)
+    return np.asarray(twist)
 
 
 def cardan_plate_axes(joints: Floats) -> Floats:

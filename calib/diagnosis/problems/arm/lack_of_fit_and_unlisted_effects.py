@@ -48,7 +48,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     smooth_functions_of_time_and_sensors,
 )
 from rig.array_and_json_types import Floats
-from rig.effects.framework.machine_motion_and_play import independent_load_columns
+from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms import axis_places

@@ -5,7 +5,7 @@ corners to effects and their parameters are the columns of the linear model.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cache
 from typing import cast
@@ -229,7 +229,11 @@ class Sensitivities:
             return k.elongation(effect, motion)
         if self.commanded is None:
             self.commanded = k.effective()
-        return k.effective((*k.effects, effect)) - self.commanded
+        together = (*k.effects, effect)
+        if kind.times is not Effect.times:
+            return k.effective(together) - self.commanded
+        moved = replace(motion, path=effect.follow(motion.path, motion.places))
+        return moved.lengths + sum(k.elongation(one, moved) for one in together) - self.commanded
 
     def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[Integers, Floats]:
         """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that
