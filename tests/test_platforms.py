@@ -75,6 +75,7 @@ def without_posix(code, folder):
     )
 
 
+@pytest.mark.slow
 @POSIX
 def test_every_module_is_imported_without_what_windows_lacks(tmp_path):
     done = without_posix("print(import_every_module())", tmp_path)
@@ -103,6 +104,7 @@ for words in (
 WANTED = "frame,x,y,z,rx,ry,rz\n" + "".join(f"{i},0.0{i},0.01,0.45,0.0,0.0{i},0.0\n" for i in range(4))
 
 
+@pytest.mark.slow
 @POSIX
 def test_the_way_of_files_is_gone_without_what_windows_lacks(tmp_path):
     (tmp_path / "wanted.csv").write_text(WANTED)

@@ -194,6 +194,7 @@ def test_calibrate_makes_what_the_command_writes(world):
         calib.CalibrateOptions(find=True, joint=True)
 
 
+@pytest.mark.slow
 def test_several_recordings_are_calibrated_together(world):
     lines = []
     both = [rig.load(world / "first"), rig.load(world / "second")]

@@ -15,6 +15,7 @@ def test_shares_are_those_of_the_books():
     assert share(10, 10) == [1.0, 0.6915, 1.0]
 
 
+@pytest.mark.slow
 def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     out = tmp_path / "truth.json"
     words = [

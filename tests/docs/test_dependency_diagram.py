@@ -30,6 +30,7 @@ def test_the_packages_stand_as_the_contract_has_them():
     assert downward(package_counts()) == package_counts()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", dependency_diagram.DIAGRAMS)
 def test_every_folder_and_every_upward_import_is_drawn_within_the_frame(name):
     counts = package_counts() if name == "packages" else folder_counts(name)

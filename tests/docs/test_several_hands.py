@@ -45,6 +45,7 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     (tmp_path / "NEW" / "poses.csv").write_text(seen)
 
 
+@pytest.mark.slow
 def test_a_shorter_way_of_the_page(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run("simulate", EXAMPLES / "humanoid.toml", "--plan", "sobol:24", "--out", "REC", "--truth", "truth.json")

@@ -14,6 +14,7 @@ from tests.docs.document_commands import commands, words
 ROWS = 60
 
 
+@pytest.mark.slow
 def test_the_import_finds_units_and_rotations_as_the_page_says(shared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_inputs(tmp_path, slice(ROWS))

@@ -168,6 +168,7 @@ def perfect(out, index):
     return index, 1.0, None
 
 
+@pytest.mark.slow
 def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     seen = []
     monkeypatch.setattr(command, "_diagnosed", lambda out, index: seen.append(index) or perfect(out, index))

@@ -33,11 +33,13 @@ def drawn(folder, seen, processes):
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.png")}
 
 
+@pytest.mark.slow
 def test_one_seed_draws_the_same_bytes_by_any_number_of_processes(seen, tmp_path):
     one, two = drawn(tmp_path / "1", seen, 1), drawn(tmp_path / "2", seen, 2)
     assert len(one) == 6 and one == two
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processes", [1, 2])
 def test_an_image_that_cannot_be_written_is_an_error(processes, seen, tmp_path, monkeypatch):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

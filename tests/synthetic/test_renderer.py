@@ -100,6 +100,7 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
     assert np.sqrt(np.mean(ours**2)) < 0.004
 
 
+@pytest.mark.slow
 def test_struts_hide_markers(design, opengl):
     parts = rig_meshes.rig_parts(design)
     pictures = []

@@ -127,6 +127,7 @@ def test_what_positions_show_of_warm_links_and_of_a_mass(tmp_path, law, effect, 
     assert found.unexplained is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "seeds"), [("bend", (2, 3, 4)), ("heavy bend", (1,))])
 def test_a_joint_that_all_links_load_is_not_taken_for_two_or_for_noise(tmp_path, law, seeds):
     """The search begins with the weight of few links; what these leave is no yielding of another joint, nor noise."""

@@ -87,10 +87,12 @@ def test_the_file_and_the_second_writer_agree(name):
     assert np.abs(back - values).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_delta_is_identified_to_the_bound(tmp_path):
     assert shares("delta", range(1), 30, tmp_path) < IDENTIFIED
 
 
+@pytest.mark.slow
 def test_a_delta_is_corrected_by_simplices_alone(tmp_path):
     assert shares("delta", range(1), 2, tmp_path, 0.6, simplices=True) < INTERPOLATED
 

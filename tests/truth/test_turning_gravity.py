@@ -107,6 +107,7 @@ def test_struts_that_give_are_corrected_at_every_elevation(tmp_path):
     assert found < 1.5 * rest and unstated > 5 * found
 
 
+@pytest.mark.slow
 def test_a_lookup_table_holds_between_its_rows_to_what_it_states(tmp_path, capsys):
     case = tilting(4, 90.0)
     recording = recorded(case, tmp_path / "a")

@@ -137,6 +137,7 @@ def test_a_board_is_printed_on_one_sheet(rig_text, tmp_path):
         assert apart == pytest.approx(pitch * (2**0.5 if page.target.board.kind == "charuco" else 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("images", [False, True], ids=["corners", "images"])
 def test_a_recording_of_boards_is_measured(rig_text, tmp_path, images, request):
     text = with_boards(rig_text)

@@ -35,6 +35,7 @@ def moving(tmp_path_factory):
     return load_recording(folder), true, case
 
 
+@pytest.mark.slow
 def test_poses_and_clocks_of_a_machine_that_moves(moving):
     recording, truth, case = moving
     found, _ = measure_recording(recording)
@@ -54,6 +55,7 @@ def test_poses_and_clocks_of_a_machine_that_moves(moving):
     assert still.max() < 1e-9, "the first camera's time is the frame's"
 
 
+@pytest.mark.slow
 def test_cameras_whose_stamps_are_late_by_different_times(moving):
     recording, truth, case = moving
     names, late = [camera.name for camera in recording.design.cameras], np.array([0.0, 0.004, -0.0025])  # s

@@ -87,6 +87,7 @@ def test_a_block_is_found_from_its_recording(kind):
     assert np.median(squares(block, m)) < chi2.isf(1e-3, 6)
 
 
+@pytest.mark.slow
 def test_lenses_that_a_few_frames_suggest_and_all_refute_are_not_the_end():
     """The positions are doubted in the end, whatever became of trials with other lenses."""
     block = drawn_block(2, noise=NOISE, off=2e-3, tilt=0.3)
@@ -130,6 +131,7 @@ def test_the_statement_names_the_frame():
     np.testing.assert_allclose(m.adjustment.state.placed.T_body_marker[0].as_matrix(), np.eye(4), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_focal_length_far_from_the_stated_one_is_an_alarm():
     near, far = drawn_block(4, focal=0.01, frames=20), drawn_block(4, focal=0.09, frames=20)
     assert focal_length_alarms(near.stated.cameras, measured(near).design.cameras) == []
@@ -166,6 +168,7 @@ def recording_folder(block: Block, folder: Path, corners: Corners) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_recording_that_states_no_places_is_measured_and_its_output_states_them(tmp_path):
     block = drawn_block(5, off=None)
     result = measure(load(recording_folder(block, tmp_path / "rec", block.corners)))

@@ -96,6 +96,7 @@ def held(tmp_path_factory, design, rig_text):
     )
 
 
+@pytest.mark.slow
 def test_the_certificate_keeps_its_published_schema(held):
     schema = json.loads((ROOT / "calib/certificate/certificate.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)

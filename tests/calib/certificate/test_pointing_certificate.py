@@ -52,6 +52,7 @@ def calibration(tmp_path_factory):
     return calib.calibrate(starred(folder / "rec", 1), CalibrateOptions(quick=True)).calibration
 
 
+@pytest.mark.slow
 def test_a_mount_is_certified_and_another_star_counts(tmp_path, calibration):
     new = starred(tmp_path / "new", 1001, 150, 0)
     found = calib.certify(calibration, new, CertifyOptions(tolerances=(("rotation", 10 * ARCSEC),)))

@@ -24,6 +24,7 @@ from tests.conftest import BENCH
 INSTRUMENT = '\n[instrument]\nkind = "pose"\nbase = "rig"\ntool = "rig"\nposition_sigma = 5e-6\nrotation_sigma = 2e-5\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) -> None:
     text = (BENCH / "fit" / "rig.toml").read_text() + INSTRUMENT

@@ -53,6 +53,7 @@ def held(predicted, samples, claim=None):
     return verify_claim(predicted, samples, np.arange(len(samples)), claim or claimed(), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own, shared", [(5e-6, 0.0), (12e-6, 0.0), (5e-6, 10e-6)])
 def test_a_claim_that_is_true_is_kept_and_one_wrong_by_half_is_not(design, own, shared):
     right = [held(*trial(design, seed, 0.9, own, shared)).kept for seed in range(3)]

@@ -43,6 +43,7 @@ def gridded(design):
     return sampled(design, 4, len(commands), coupled, commands=commands, own=OWN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", [False, True])
 def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
     samples, true = gridded
@@ -92,6 +93,7 @@ def test_where_noise_explains_all_that_is_left_a_smooth_field_is_empty(design):
     )
 
 
+@pytest.mark.slow
 def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(design):
     samples, _ = sampled(design, 5, 40)
     with pytest.raises(RigError, match="fill no grid"):
@@ -105,6 +107,7 @@ def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(d
     assert done.correction.extension is None  # noise alone is left, and no way makes something of it
 
 
+@pytest.mark.slow
 def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design, tmp_path):
     samples, true = gridded
     done, _ = certify_extended_correction(
@@ -142,6 +145,7 @@ def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
     assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_command_errors(correction)[1] > 1e-7
 
 
+@pytest.mark.slow
 def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path):
     """The other way round, through the command: what a measuring machine reads, corrected, with a covariance that its
     errors keep to.

@@ -98,6 +98,7 @@ def test_a_claim_of_a_field_or_of_a_pass_holds_what_play_leaves(design, method):
     assert inside >= 7 and 1.2 < min(wide) < max(wide) < 4
 
 
+@pytest.mark.slow
 def test_an_arm_whose_noise_is_stated_ten_times_too_small_says_so_and_claims_what_is_left():
     rng = np.random.default_rng(4)
     true = worlds.secret(UR10, rng)

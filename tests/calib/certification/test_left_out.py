@@ -62,6 +62,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[1]}-{case[3]}")
 def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path, case):
     of, calibration, claim, _ = calibrated(tmp_path / "rec", *case)
@@ -97,6 +98,7 @@ def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
     assert np.mean(inside) > 0.93
 
 
+@pytest.mark.slow
 def test_a_claim_is_sharp_and_has_nothing_unexplained_where_nothing_is_left_out(tmp_path):
     of, calibration, claim, _ = calibrated(tmp_path / "rec", 1, "none", "none", "shuffled", count=50)
     median, low, high = claim.after[0]
@@ -104,6 +106,7 @@ def test_a_claim_is_sharp_and_has_nothing_unexplained_where_nothing_is_left_out(
     assert claim.unexplained == () and not any(calibration.correction.remainder)
 
 
+@pytest.mark.slow
 def test_poses_that_agree_with_no_geometry_are_counted_where_they_are_many(tmp_path):
     """A loose joint that changes sides in three of fourteen scattered poses, which are left out of the fit as wild."""
     of, calibration, claim, _ = calibrated(tmp_path / "rec", 21, "joint_clearance", "strong", "ladders")
@@ -111,6 +114,7 @@ def test_poses_that_agree_with_no_geometry_are_counted_where_they_are_many(tmp_p
     assert rms(driven(of, calibration)[0])[0] < 1.5 * claim.after[0][2]
 
 
+@pytest.mark.slow
 def test_no_remainder_stands_for_the_direction_of_approach(tmp_path):
     """In its own order a Sobol sequence comes to the upper half of a stroke from below, so that play looks like a
     function of place.

@@ -46,6 +46,7 @@ def test_few_configurations_have_no_interval(count, where):
     assert f"(too few configurations for an interval) on {where}" in line and "nan" not in line
 
 
+@pytest.mark.slow
 def test_held_out_poses_are_as_good_as_they_are_measured(design):
     samples, _ = sampled(design, 1, count=200)
     held = certify_platform(samples, design.mechanism, np.random.default_rng(0)).held_out
@@ -62,6 +63,7 @@ def test_a_remainder_that_does_not_pay_is_dropped(design):
     assert done.correction.remainder == (None,) * 6 and done.held_out.after.n == 100
 
 
+@pytest.mark.slow
 def test_a_remainder_that_pays_is_kept(design):
     def bowed(c):
         out = np.zeros(c.shape)

@@ -73,6 +73,7 @@ def share_kept_at_once(draw, n, level, count, noise=0.0, seed=0):
     return found / count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [independent, heavy, play, lopsided])
 @pytest.mark.parametrize("level", [(0.95, 0.95), (0.9, 0.9)])
 def test_both_are_kept_at_once_as_often_as_stated(draw, level):

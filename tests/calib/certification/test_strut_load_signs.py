@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calib.certification.strut_deviation_covariance_functions import PLACES, strut_load_signs
 from calib.samples.exposure_conditions import Conditions, Weight
@@ -51,6 +52,7 @@ def test_without_gravity_or_where_every_strut_pushes_there_is_no_sign(design):
         assert one is not None or (pushing[:, i] > 0).all() or (pushing[:, i] < 0).all()
 
 
+@pytest.mark.slow
 def test_a_claim_holds_where_joints_have_a_clearance_and_names_the_load(tmp_path):
     """Ladders show each strut's change of sides in few poses."""
     of, calibration, claim, _ = calibrated(tmp_path / "rec", 0, "joint_clearance", "strong", "ladders")

@@ -88,6 +88,7 @@ def _trials(n, noise, count, seed):
     return np.mean(limits >= goal), limits.mean() / goal, plain.mean() / goal
 
 
+@pytest.mark.slow
 def test_noise_is_taken_off_and_the_promise_still_kept():
     share, size, plain = _trials(120, 0.5, 4, 2)
     assert share >= 0.75 and size <= plain

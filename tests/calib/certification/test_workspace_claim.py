@@ -170,6 +170,7 @@ def test_a_claim_is_kept_or_it_is_not(design):
     )
 
 
+@pytest.mark.slow
 def test_repeats_make_no_claim_better_than_its_configurations(design):
     claims = [at_poses(design, 5, 10, repeats)[0] for repeats in (0, 150)]
     assert claims[1].distinct == 10 and claims[1].ratio[0] < 1.6 * claims[0].ratio[0]
@@ -206,6 +207,7 @@ def test_two_hundred_recordings_claim_what_they_keep(design, rig_text, tmp_path)
     assert np.mean(inside) >= 0.9 and abs(np.median(apart)) < 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", range(1, 16))
 def test_every_small_recording_is_calibrated(design, rig_text, tmp_path, count):
     claim, found = at_corners(design, rig_text, tmp_path / "rec", 100 + count, count, 0)

@@ -30,6 +30,7 @@ def test_measuring_begins_from_other_lenses_as_checking_does(tmp_path: Path) -> 
     assert not measured.unsolved and measured.inliers.all() and not measured.places_free
 
 
+@pytest.mark.slow
 def test_one_face_turned_is_told_as_that(tmp_path: Path) -> None:
     """Said before: the edge of all cubes is stated too small."""
     recorded(tmp_path / "rec")

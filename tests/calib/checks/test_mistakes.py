@@ -117,6 +117,7 @@ def test_measure_refuses_what_is_spoilt_and_does_it_anyway(good, tmp_path):
     assert status == 0 and "scale of print" in text.splitlines()[0] and (tmp_path / "out" / "poses.csv").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["measure", "diagnose"])
 def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, tmp_path):
     folder = tmp_path / "rec"

@@ -102,6 +102,7 @@ def same(found, done):
 coordinates = st.tuples(*[st.floats(-0.05, 0.05)] * 2, st.floats(0.40, 0.50), *[st.floats(-0.3, 0.3)] * 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 @given(vectors=st.lists(coordinates, min_size=1, max_size=6), first=st.integers(0, 3), warm=st.booleans())
 @settings(max_examples=40, deadline=None)
@@ -260,6 +261,7 @@ def test_a_port_that_is_taken_is_refused(calibrations, served):
         CorrectionServer(calibrations["simplices"], port=served["all"][1])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGTERM to send another program")
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
 def test_the_command_answers_and_ends_on_a_signal(calibrations, tmp_path, ending):

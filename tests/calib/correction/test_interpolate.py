@@ -66,6 +66,7 @@ def test_grids_pass_through_their_samples(axes, seed):
         assert (field.error(known.configurations) < 2e-7).all() and field.inside(known.configurations).all()
 
 
+@pytest.mark.slow
 @given(axes=st.integers(1, 7), seed=st.integers(0, 1000))
 @settings(max_examples=25, deadline=None, derandomize=True)
 def test_weights_are_a_partition_of_unity_and_their_slopes_of_nothing(axes, seed):

@@ -243,6 +243,7 @@ def test_near_a_singularity_poses_and_joints_are_refused(design, tmp_path):
 shares = st.lists(st.floats(-1, 1), min_size=6, max_size=6)
 
 
+@pytest.mark.slow
 @needs_compiler
 @given(off=shares, near=shares)
 @settings(max_examples=150, deadline=None)

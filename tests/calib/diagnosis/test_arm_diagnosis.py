@@ -89,6 +89,7 @@ def test_hidden_effects_are_found_at_their_joints(found):
     assert {place for _, place in names} == {"joint 1", "joint 2", "joint 3"}
 
 
+@pytest.mark.slow
 def test_sizes_are_those_that_were_hidden(found):
     problem, chosen = found
     geometry = Geometry(UR10, np.zeros((0, 0)), lambda step: UR10)
@@ -116,6 +117,7 @@ def giving_way(q):
     return out
 
 
+@pytest.mark.slow
 def test_what_a_heavy_arm_and_a_gear_do_shows_at_one_reflector():
     """A joint's load takes few numbers, so that compliance of both joints and a scale are found apart, each as large
     as it is."""
@@ -149,6 +151,7 @@ def test_few_poses_are_an_error():
         recorded(None, 19)
 
 
+@pytest.mark.slow
 def test_few_poses_are_asked_what_they_bear():
     """25 poses bear three numbers of an effect; what has more is stated with the poses that it takes; 60 bear all."""
     few, many = (joint_candidates(recorded(None, count)[0][0], RequestedEffects()) for count in (25, 60))
@@ -184,6 +187,7 @@ def test_forty_quiet_recordings_of_25_poses_stay_quiet(tmp_path):
         assert not report.findings and report.unexplained is None, seed
 
 
+@pytest.mark.slow
 def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     rng = np.random.default_rng(3)
     true = secret_arms.secret(UR10, rng)
@@ -254,6 +258,7 @@ def test_a_joint_that_gives_way_to_a_stated_load_is_told_by_its_stiffness(tmp_pa
     assert low < 2e5 < high < 1.2 * low and low < stiffness["value"] < high
 
 
+@pytest.mark.slow
 def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
     rng = np.random.default_rng(3)
     true = secret_arms.secret(UR10, rng)

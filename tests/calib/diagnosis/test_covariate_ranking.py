@@ -36,6 +36,7 @@ def rec(tmp_path_factory, design):
     return replace(found, sensors=Sensors(found.sensors.t, {**found.sensors.channels, **odd}))
 
 
+@pytest.mark.slow
 def test_what_an_effect_follows_leads_and_is_gone_after(rec):
     report = diagnosis_report(diagnosis_of(rec, ["settling_error"]))
     names = [c.name for c in report.covariates]

@@ -62,6 +62,7 @@ def text_of(path):
     )
 
 
+@pytest.mark.slow
 def test_the_page_says_what_was_found(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     page, text = made(tmp_path, found, diagnosis)
@@ -83,6 +84,7 @@ def test_the_page_says_what_was_found(diagnosed, tmp_path):
     assert page.index("<strong>check</strong>") < page.index("<h1>") < page.index("What to do next")
 
 
+@pytest.mark.slow
 def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
     still = diagnosis_of(found, ["missed_steps strut 1"])

@@ -38,6 +38,7 @@ def test_another_load_shows_what_joints_swallow_at_one_load(design):
     assert loaded.misfit > 1.5 * constant.misfit
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsys):
     from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 

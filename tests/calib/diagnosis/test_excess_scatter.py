@@ -84,6 +84,7 @@ def test_noise_that_nobody_states_proves_nothing(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_struts_that_scatter_in_few_poses_are_unexplained(tmp_path, design):
     """A seventh of the poses are off: the middle of all residuals shows nothing of it."""
     rec = recorded(tmp_path, design, [], route="sobol:90")

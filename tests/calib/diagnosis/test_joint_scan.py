@@ -48,6 +48,7 @@ def searched():
     return fit_terms_to_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, RequestedEffects())[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cyclic_error", "missed_steps"])
 def test_short_cuts_give_the_best_nodes_their_score_and_the_others_a_bound(searched, name):
     now, candidates = searched
@@ -157,6 +158,7 @@ def test_sinusoid_is_found_with_its_order(searched):
     assert proof.after < 0.7 * proof.before and proof.gain > 2
 
 
+@pytest.mark.slow
 def test_repeats_tell_noise_from_what_comes_again():
     quiet = pose_repeatability(fit_terms_to_poses(seen(None, repeats=60)))
     assert quiet.pairs == 60 and quiet.rms == pytest.approx(SIGMA * np.sqrt(3), rel=0.15) and quiet.p_value > 1e-3
@@ -169,6 +171,7 @@ def test_repeats_tell_noise_from_what_comes_again():
     assert pose_repeatability(fit_terms_to_poses(seen(None))) is None
 
 
+@pytest.mark.slow
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), repeats=60)
     chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit

@@ -69,6 +69,7 @@ def test_a_profile_is_no_scale_that_grows(tmp_path, waves):
     assert "transmission_error" in dict(sites(found)) and "scale_error" not in dict(sites(found))
 
 
+@pytest.mark.slow
 def test_steps_that_all_struts_miss_at_once_are_missed_steps_of_the_rig(tmp_path):
     case = hexapod("missed_steps", 3, 0)
     found = diagnosed(tmp_path, case, laws=(replace(case.laws[0], axes=np.ones(6)),))
@@ -125,6 +126,7 @@ def test_a_profile_with_kinks_is_a_transmission_error(tmp_path, seed):
     assert sites(found) == [("transmission_error", "strut 3")]
 
 
+@pytest.mark.slow
 def test_a_screw_coupling_that_grows_with_the_twist_keeps_its_name(tmp_path):
     found = diagnosed(tmp_path, hexapod("screw_coupling", 3), 3, laws=(places.Twisted(AXIS, 0.004, 1.0, 1.0),))
     assert sites(found) == [("screw_coupling", "strut 3")] and not found.left

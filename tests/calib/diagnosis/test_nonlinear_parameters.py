@@ -36,6 +36,7 @@ def found(seed):
     return select_terms(ArmProblem(arms, candidates)).fit
 
 
+@pytest.mark.slow
 def test_a_range_between_two_values_of_its_grid_is_found_with_its_weight_and_nothing_besides():
     fit = found(1)
     assert [(t.candidate.name, t.candidate.place) for t in fit.terms] == [("hysteresis", "joint 2")]

@@ -95,6 +95,7 @@ def test_what_an_arm_cannot_be_asked_is_listed_with_why(design, cameras, reason)
     assert [(s.effect, s.reason) for s in not_tested] == [("edge_bias", reason)]
 
 
+@pytest.mark.slow
 def test_regions_and_repeats_are_of_every_machine(tmp_path, design):
     rec = recorded(tmp_path, design, ["backlash:strut2:gap=1.2e-4"], 11, "repeat:5,ladder:1,sobol:30", 0.03)
     found = diagnose(rec, DiagnosisOptions(only=("backlash",)))

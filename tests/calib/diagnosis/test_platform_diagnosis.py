@@ -136,6 +136,7 @@ def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkey
     assert len(count) < LINEARISATIONS
 
 
+@pytest.mark.slow
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
@@ -258,6 +259,7 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     assert not found.effects and found.left[0].place == Place("marker", "7")
 
 
+@pytest.mark.slow
 def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
     observations, stated, true, t = tumbling_block.scene(1)
     o, names = observations, [camera.name for camera in stated.cameras]

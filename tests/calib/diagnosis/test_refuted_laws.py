@@ -71,6 +71,7 @@ def test_a_curve_that_outdoes_a_law_leaves_no_name(seen, effect, depends, looked
     assert suggested.place == effect.place and [q.name for q in suggested.written.quantities] == [looked_at]
 
 
+@pytest.mark.slow
 def test_a_law_that_holds_keeps_its_name(seen):
     (finding,) = seen(parse_effect("axis_coupling:strut 6:scale=-9e-4,other=3")).selection.findings
     assert (finding.score.candidate.name, finding.score.candidate.place) == ("axis_coupling", "strut 6")

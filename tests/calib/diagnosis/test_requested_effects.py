@@ -59,6 +59,7 @@ def test_an_exchange_of_faces_is_asked_for_at_its_marker_alone(tmp_path, design)
         diagnosis_of(rec, only=["marker_swap marker 99"])
 
 
+@pytest.mark.slow
 def test_what_a_bound_forbids_is_reported_at_the_bound(tmp_path, design, monkeypatch):
     rec = recorded(tmp_path, design, ["screw_coupling:rig:gain=1"], route="sobol:60")
     tight = tuple(

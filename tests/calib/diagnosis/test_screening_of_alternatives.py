@@ -20,6 +20,7 @@ SITES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SITES)
 def test_all_that_an_exact_scan_finds_passes(tmp_path, seed):
     sites = SITES[seed]

@@ -55,6 +55,7 @@ def larger(k, place, by):
     )
 
 
+@pytest.mark.slow
 def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design):
     """A marker's side moves the scale of all as a fit to corners so moved finds it; they vary as much as the recording
     shows, not as is tolerated.

@@ -102,6 +102,7 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
 
 
+@pytest.mark.slow
 def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
@@ -150,6 +151,7 @@ def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
             assert one == pytest.approx(other, abs=1e-9 * np.abs(whole.raw).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "first"), [("face_misplacement:8:offset=1e-3/0/0,rotation=0/0/0", False), (None, True)]
 )

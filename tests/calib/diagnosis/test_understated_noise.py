@@ -180,6 +180,7 @@ def test_the_interval_of_a_factor_holds_its_truth():
         assert held >= 88  # 95 % of 100, three standard errors lower
 
 
+@pytest.mark.slow
 def test_repeated_commands_that_show_the_same_refute_noise():
     assert not any(noise_factors(pose_residuals(seed, 2.0, shared=0.9)) for seed in range(10))
     assert not any(noise_factors(pose_residuals(seed)) for seed in range(10))
@@ -219,6 +220,7 @@ def test_noise_as_stated_is_no_remark(tmp_path):
     assert not report.noise_times and not report.findings and diagnosis_verdict(report).state is State.GOOD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_strut_that_scatters_for_itself_is_found_whatever_noise_is_stated(tmp_path, times):
     report = hexapod(tmp_path / "rec", times, 1e-4)

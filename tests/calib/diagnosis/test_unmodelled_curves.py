@@ -42,6 +42,7 @@ def unknown_at(place, depends_on):
     return Unknown(place, 3e-5, "m", (depends_on,), False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind, law, depends_on, covariate",
     [
@@ -63,6 +64,7 @@ def test_an_unknown_is_undone_by_a_curve(tmp_path, kind, law, depends_on, covari
     assert after < (1 - WANTED) * before
 
 
+@pytest.mark.slow
 def test_a_curve_over_time_is_left_out_beyond_the_recorded_time(tmp_path):
     machine = OddMachine.of("swing after switching on", 1, tmp_path, 60)
     found = calibrated(machine, unknown_at(machine.place, "time"))
@@ -80,6 +82,7 @@ def test_a_curve_over_time_is_left_out_beyond_the_recorded_time(tmp_path):
     assert unsure > 2 * sure and np.allclose(notices[0].values[:2], notices[1].values[:2], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_noise_has_no_curve(tmp_path):
     machine = OddMachine.of("dent in the screw", 1, tmp_path, 60)
     case = replace(machine.case, laws=())
@@ -90,6 +93,7 @@ def test_noise_has_no_curve(tmp_path):
     assert all("not corrected, as no smooth function" in u.sentence() for u in found.physics.unknown)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hexapod", "arm"])
 def test_a_curve_stands_beside_what_another_recording_told(tmp_path, kind):
     machine = OddMachine.of("gap that widens along the screw", 1, tmp_path, 60, kind)

@@ -150,6 +150,7 @@ def test_a_pose_far_from_all_others_does_not_hide_itself(tmp_path, design):
     assert [one.frame for one in found.outliers.left_out] == [44] and names(found) == [] and found.left == []
 
 
+@pytest.mark.slow
 def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
     """One whose fit would lead where no stage closes."""
     case = draw(1037, "axis_coupling", "strong", "sobol", "chain", 80)
@@ -196,6 +197,7 @@ def test_an_arms_wild_poses_are_left_out(tmp_path):
         assert len(gone & set(frames.tolist())) + len(mask.split(",")) * bool(mask) >= len(frames) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_poses_that_agree_with_no_model_are_no_scatter_of_the_others(tmp_path, seed):
     """A twentieth of a SCARA's poses off by 4 to 8 standard deviations, some too near to the others to be excluded."""
@@ -228,6 +230,7 @@ def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path
     assert left_out == np.setdiff1d(rec.poses.frame, searched).tolist() and bool(left_out) == (rounds > 1)
 
 
+@pytest.mark.slow
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:60")
     assert diagnosis_of(rec, ["edge_bias"]).outliers.left_out == ()

@@ -47,6 +47,7 @@ def found(tmp_path_factory):
     return read, diagnosis_of(read)
 
 
+@pytest.mark.slow
 def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
     """The first recording's own plan, told as one that is not there yet: the same freedoms and joints, and what effects
     move is the same.

@@ -119,6 +119,7 @@ def test_a_fit_still_solves_for_the_places(tmp_path):
     assert 0.05 * case.sigma[0] < sizes.mean() < 3 * case.sigma[0]  # some share of the noise, and no more
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", [("rig", "rig"), ("free", "free")])
 def test_a_verification_names_what_stands_elsewhere(tmp_path, ends):
     """Base and tool displaced for the verification: named within the stated interval, the errors back to the noise."""
@@ -153,6 +154,7 @@ def test_a_verification_names_what_stands_elsewhere(tmp_path, ends):
     assert abs(turned - 1e-2) < 1.5 * U[1] < 1e-4
 
 
+@pytest.mark.slow
 def test_a_certificate_states_the_place(tmp_path):
     """A certificate's poses are without the displacement, which is stated on it."""
     calibration = calibrate(
@@ -168,6 +170,7 @@ def test_a_certificate_states_the_place(tmp_path):
     assert "displacement" not in still.tree()
 
 
+@pytest.mark.slow
 def test_positions_alone_and_a_chain(tmp_path):
     """A reflector on the hand, whose rotation nobody sees; and a platform on a slide."""
     joined, lines = combined(three(arm(5), tmp_path / "arm", FAR, ends=("free", "free"), alone=True))
@@ -193,6 +196,7 @@ def geometry_error_of_positions(recording, case):
     return float(np.median(np.linalg.norm(predicted - sampled.samples.T_base_platform.translation, axis=1)))
 
 
+@pytest.mark.slow
 def test_wild_poses_do_not_move_the_base(tmp_path):
     """Three poses of forty that somebody bumped are no displacement."""
     case = arm(3)
@@ -203,6 +207,7 @@ def test_wild_poses_do_not_move_the_base(tmp_path):
     assert not verify(calibration, written(bumped, tmp_path / "b")).figures.displacement
 
 
+@pytest.mark.slow
 def test_wild_poses_do_not_grow_with_what_the_placement_takes(tmp_path):
     """Poses that were measured wrong are off by that much, are named, and refute nothing."""
     case, ends = arm(3), ("free", "free")
@@ -225,6 +230,7 @@ def test_another_arms_poses_are_refused(tmp_path):
         combined([first, written(shuffled, tmp_path / "b", FAR[0])])
 
 
+@pytest.mark.slow
 def test_a_backlash_is_found_over_three_stations(tmp_path):
     """What joints do beyond their geometry is no displacement, and shows over recordings from three places."""
     case = draw(3, "backlash", "strong", kind="arm", count=25)
@@ -233,6 +239,7 @@ def test_a_backlash_is_found_over_three_stations(tmp_path):
     assert [(one.effect, one.place) for one in found] == [("backlash", f"joint {axis + 1}")]
 
 
+@pytest.mark.slow
 def test_the_command_line_states_the_place(tmp_path, capsys):
     """`rig verify` prints, writes and returns it; exit status 0, the verdict "check"."""
     written(draw(3, "none", "none", kind="arm", count=40), tmp_path / "a")

@@ -82,6 +82,7 @@ def true_error(calibration):
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow
 def test_stations_and_wild_rows(tmp_path):
     """Three recordings, the tracker stationed anew each time, a row of each wrong: as good as the noise allows."""
     three = [tracked(tmp_path / str(k), k, station=k, wild=(7 * k,)) for k in (1, 2, 3)]
@@ -100,6 +101,7 @@ def test_stations_and_wild_rows(tmp_path):
     assert len(loaded.figures.same) == COUNT, "a recording is known again though its poses were moved"
 
 
+@pytest.mark.slow
 def test_one_recording_and_a_probe_that_is_known(tmp_path):
     recording = tracked(tmp_path / "1", 1, station=1, ends=("free", "rig"))
     result = calibrate(recording, CalibrateOptions(quick=True))
@@ -129,6 +131,7 @@ def delta(seed, count=60):
     return p[:, 2:] + np.sqrt(bars**2 - (across**2).sum(axis=2)) - zeros, p
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", [("free", "free"), ("rig", "rig")])
 def test_positions_alone_of_a_platform_that_stays_level(tmp_path, ends):
     """A delta before a tracker that sees one reflector, in the tracker's own frame or in the machine's."""

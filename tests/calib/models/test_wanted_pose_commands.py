@@ -91,6 +91,7 @@ def wanted_of(design, count=6):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "effects"),
     [

@@ -71,6 +71,7 @@ def test_innovations_are_white(design):
     assert abs((innovation[1:] * innovation[:-1]).mean()) < 4 / np.sqrt(innovation.size)
 
 
+@pytest.mark.slow
 def test_missed_steps_are_found_and_spoil_nothing(design):
     chi, z = [], []
     for seed in range(12):

@@ -36,6 +36,7 @@ def test_cameras_see_the_poses_of_both_hands(simulated):
         assert 2 < np.median(squares) < 15  # six numbers of each, errors that cameras share among them
 
 
+@pytest.mark.slow
 def test_one_hand_is_measured_alone_and_several_must_be_chosen_from(simulated, tmp_path):
     folder, _ = simulated
     recording = load_recording(folder)
@@ -55,6 +56,7 @@ def without_targets_of(text, hand):
     return "".join(part for part in re.split(r"(?=\[\[target\]\])", text) if f'body = "{hand}"' not in part)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seen", "other"), [("left", "right"), ("right", "left")])
 @pytest.mark.parametrize("stated", [True, False])
 def test_what_is_seen_of_one_hand_alone_is_all_of_the_samples(simulated, tmp_path, seen, other, stated):

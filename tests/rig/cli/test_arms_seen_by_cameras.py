@@ -31,6 +31,7 @@ def wanted(folder, count=8):
     return lines(arm.forward(sobol_configurations(m.limits, count, 0.6, 5), m))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carried, cameras", [("cubes", 2), ("hand", 1)])
 def test_a_loop_closes_with_base_and_hand_solved_for(tmp_path, capfd, carried, cameras):
     recorded(tmp_path, carried, cameras=cameras)

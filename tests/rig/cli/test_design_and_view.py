@@ -77,6 +77,7 @@ def test_a_frame_is_drawn(tmp_path):
     assert "no frame 77" in run("view", BENCH / "check", "--frame", "77", "--out", tmp_path / "v.png", ok=False).stderr
 
 
+@pytest.mark.slow
 def test_nets_are_true_to_scale(tmp_path):
     """The sheet is rasterised and its markers read back: the black border's side and the page are as stated."""
     run("design", "--radius", "0.15", "--cubes", "2", "--out", tmp_path / "rig.toml")

@@ -239,6 +239,7 @@ def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, caps
     assert output and most < 100, "of its files the page has a few, whoever asks"
 
 
+@pytest.mark.slow
 def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tmp_path, monkeypatch):
     printed(capsys, "home", rig)
     before, log = len(emulated.commanded_goals()), tmp_path / "log"

@@ -120,6 +120,7 @@ def test_a_recording_drawn_again_is_replaced_and_its_manifest_tells_no_truth(her
     }
 
 
+@pytest.mark.slow
 def test_a_dash_is_the_standard_output_and_words_go_elsewhere(here):
     done = subprocess.run(
         [*RIG, "export", "rig.toml", "--format", "json", "--out", "-"], capture_output=True, text=True, env=ENVIRONMENT

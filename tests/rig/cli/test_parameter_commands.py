@@ -142,6 +142,7 @@ def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
     assert says in capsys.readouterr().err and not (tmp_path / "p.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     effect = "missed_steps:strut3:jump=9e-5,time=400"
     assert (
@@ -318,6 +319,7 @@ def test_a_rig_without_limbs_says_so(rig_file, tmp_path, capsys):
     assert "no [insitu] table" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_learning_goes_on_from_a_calibration(rig_file, tmp_path, capsys):
     for name, effect in (("before", []), ("after", ["--effect", "missed_steps:strut5:jump=-9e-5,time=0.5"])):
         assert main(["simulate", str(rig_file), "--plan", "sobol:40", *effect, "--out", str(tmp_path / name)]) == 0

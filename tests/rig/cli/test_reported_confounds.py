@@ -47,6 +47,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return base
 
 
+@pytest.mark.slow
 def test_what_place_absorbs_is_stated_by_every_command(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     base, rig = recorded, command(capsys)
     assert "a function of place on struts 1-6: drift and place cannot be separated" in rig(

@@ -60,6 +60,7 @@ def test_one_fault_has_one_verdict(tmp_path, capsys, effect):
     assert len(set(states.values())) == 1, states
 
 
+@pytest.mark.slow
 def test_a_sound_machine_is_good_in_all_commands(tmp_path, capsys):
     assert set(through(tmp_path, capsys, "none", strength="none").values()) == {"good"}
 
@@ -89,6 +90,7 @@ def test_what_shows_in_the_poses_that_a_fit_left_out_is_within_its_claim(tmp_pat
     assert low < 28e-6 < high and claim["ratio"][1] < claim["ratio"][0] < claim["ratio"][2]
 
 
+@pytest.mark.slow
 def test_what_a_calibration_leaves_unexplained_is_stated_of_all_else_that_is_learnt_from_its_recording(
     tmp_path, capsys
 ):
@@ -138,6 +140,7 @@ def test_creep_has_one_verdict_and_marks_the_calibration(tmp_path, capsys):
     ) and "creep at strut 2" in found.finding
 
 
+@pytest.mark.slow
 def test_a_refuted_calibration_is_refuted_wherever_it_is_used(tmp_path, capsys):
     """A machine that is calibrated and then fails: one recording refutes, all commands show that from then on."""
     sound, failed = (

@@ -57,6 +57,7 @@ def first(tmp_path_factory, design, rig_text):
     return base, two, str(base / "one.json")
 
 
+@pytest.mark.slow
 def test_order_count_space_and_part_are_kept(first, capsys):
     base, two, one = first
     calibrated(
@@ -81,6 +82,7 @@ def test_order_count_space_and_part_are_kept(first, capsys):
     assert main(["workspace", str(base / "three.json")]) == 0
 
 
+@pytest.mark.slow
 def test_a_pass_that_leaves_less_than_noise_has_a_claim_that_is_read_again(first, tmp_path, capsys):
     base, two, one = first
     calibrated(tmp_path / "two.json", two, "--extend", "radial", "--onto", one)

@@ -5,9 +5,12 @@ import pty
 import subprocess
 import sys
 
+import pytest
+
 from tests.cli import RIG
 
 
+@pytest.mark.slow
 def test_a_reader_that_closes_standard_output_loses_no_results(tmp_path, recording_folder):
     """As `| head` does: the files are complete, the error output says what happened, and the status is that of a
     command that did its work.

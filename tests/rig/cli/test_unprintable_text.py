@@ -117,6 +117,7 @@ def test_a_name_that_is_no_utf_8_is_refused_in_words(tmp_path, printed, words, m
     )
 
 
+@pytest.mark.slow
 def test_images_and_a_working_folder_whose_names_are_no_utf_8_end_in_words(tmp_path, printed, monkeypatch):
     folder = tmp_path / os.fsdecode(b"here\xff")
     shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)

@@ -149,6 +149,7 @@ def test_a_visit_is_planned_within_the_strokes_and_tells_more_than_an_even_one(w
     assert commands.shape == (6, 6) and (commands > low).all() and (commands < high).all()
 
 
+@pytest.mark.slow
 def test_what_is_no_visit_is_refused_and_the_history_stays(watched, week, tmp_path, capsys):
     base, _ = watched
     cal, day = str(base / "calibration.json"), str(base / "day0")

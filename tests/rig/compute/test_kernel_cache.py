@@ -103,6 +103,7 @@ def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
 KERNEL = "from rig.compute.numba_kernels_and_lazy_exports import njit\n{imports}\n@njit(cache=True)\n{function}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changed", ["kernel", "number", "array"])
 def test_a_kernel_is_compiled_anew_after_a_change_of_what_it_takes_from_another_file(changed, tmp_path):
     def written(gain):
@@ -125,6 +126,7 @@ def test_a_kernel_is_compiled_anew_after_a_change_of_what_it_takes_from_another_
     assert [written(2.0), written(3.0), written(2.0)] == [8.0, 12.0, 8.0]
 
 
+@pytest.mark.slow
 def test_kernels_kept_by_an_earlier_version_whose_modules_have_moved_are_compiled_anew(tmp_path):
     def total(module):
         (tmp_path / f"{module}.py").write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    a: float\n")
@@ -141,6 +143,7 @@ def test_kernels_kept_by_an_earlier_version_whose_modules_have_moved_are_compile
     assert [total("first"), total("second")] == [3.0, 3.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("named", [None, "generic"])
 def test_kernels_are_compiled_for_all_processors_of_a_kind_unless_one_is_named(named):
     code = (
@@ -157,6 +160,7 @@ def test_kernels_are_compiled_for_all_processors_of_a_kind_unless_one_is_named(n
     assert done.stdout in [f"{(name, '')}\n" for name in ([named] if named else portable)], done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("open_one", ["NUMBA_CACHE_DIR", "__pycache__"])
 def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
     shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
@@ -182,6 +186,7 @@ def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
     assert not list(theirs.rglob("*.nb?")) and list((tmp_path / "home" / ".cache" / "rig").rglob("*.nbi"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")
 def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
     shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
@@ -216,6 +221,7 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
     assert "is kept in" in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
     code = (
         "from rig.compute.numba_kernels_and_lazy_exports import announce_compilation; "

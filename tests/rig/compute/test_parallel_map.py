@@ -56,6 +56,7 @@ def test_what_a_process_raises_is_raised_here(processes):
     assert parallel_map_and_dask_cluster.parallel_map(abs, [-1, 2]) == [1, 2]  # and the next call is not disturbed
 
 
+@pytest.mark.slow
 def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
     point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
     requested = RequestedEffects(("backlash", "camera_drift", "vibration", "face_misplacement"))

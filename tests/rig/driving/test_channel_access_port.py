@@ -93,6 +93,7 @@ def home(driver):
     return home_lengths(driver.mechanism)
 
 
+@pytest.mark.slow
 def test_motors_start_and_arrive_together_and_read_back(path):
     reports = []
     path.write_text(path.read_text().replace("max_speed = 0.03", "max_speed = 0.005"))  # six are not read at one moment

@@ -291,6 +291,7 @@ def test_frames_of_a_move_after_which_nothing_is_known_are_where_the_struts_were
     assert np.ptp(true, axis=0).max() > 0.01
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_in_a_move_has_the_frames_whose_commands_are_known(made, tmp_path, monkeypatch):
     write, exposed, killed_in = move_and_record_loop.RunOperator.write, [], []
 

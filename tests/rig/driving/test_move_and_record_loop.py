@@ -66,6 +66,7 @@ def test_it_can_be_read_while_it_grows(rig, tmp_path):
     assert counts == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half", [False, True])
 def test_killed_at_every_instant_it_goes_on_and_repeats_no_move(rig, tmp_path, half):
     plan = "sobol:2,repeat:1"

@@ -205,6 +205,7 @@ def test_a_rig_without_a_controller_cannot_be_driven(design):
         Driver(design, SimulatedClock())
 
 
+@pytest.mark.slow
 def test_many_moves_with_every_fault_among_them(driven_design, protocol):
     verdicts = move_counts_with_faults(driven_design, protocol, ["all:0.6"], 40, seed=3)
     assert len(verdicts.struck) >= 10 and verdicts.done > 15

@@ -87,6 +87,7 @@ def test_the_stop_of_a_file_is_sent_before_anything_slow_and_the_file_is_not_run
     assert "b'!" in done.stdout and not (tmp_path / "lab" / "was_run").exists(), done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_a_rig_with_a_protocol_of_its_own_is_driven_over_tcp(tmp_path):
     path = stated(tmp_path / "lab")
     rig = [shutil.which("rig", path=os.path.dirname(sys.executable))]

@@ -127,6 +127,7 @@ def test_it_is_simulated(house, kind):
     shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 def test_it_is_in_the_catalogue(house):
     output = rig(house, "catalogue")
     assert "### toy_tide" in output and "wait for the tide" in output

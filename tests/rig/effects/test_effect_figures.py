@@ -54,6 +54,7 @@ def plotted(figure: str) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [kind.name for kind in ALL])
 def test_every_effect_has_a_sketch_that_follows_its_size(name, sketches):
     whole, half = sketches[name]

@@ -80,6 +80,7 @@ def test_measures_are_hand_worked():
     ) == pytest.approx(0.1 * np.sqrt(2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wish",
     [TransmissionObjective(("fy",)), TransmissionObjective(("fx", "mz"), np.inf), TransmissionObjective()],
@@ -108,6 +109,7 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
     assert np.median(best.value / gradient.start) > 1.02
 
 
+@pytest.mark.slow
 def test_global_search_is_the_best_of_the_traced_self_motion():
     q = configurations(PANDA, 3, np.random.default_rng(3), 0.8)
     wish = TransmissionObjective(("fz",))
@@ -126,6 +128,7 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
         assert reached <= value <= reached * 1.001
 
 
+@pytest.mark.slow
 def test_a_full_turn_of_the_elbow_is_traced_once():
     round_ = type(SEVEN)(SEVEN.joints, [[-50, 50]] * 7)
     path = null_space_search.trace_self_motion(np.array([0.3, 0.7, 0.2, 1.2, 0.4, 0.9, 0.1]), round_)
@@ -225,6 +228,7 @@ def test_a_blind_posture_names_what_it_does_not_feel():
         wrench_estimation_from_torques.estimate_wrench(np.zeros(7), stretched, SEVEN, np.eye(7))
 
 
+@pytest.mark.slow
 def test_motions_end_in_the_posture():
     rng = np.random.default_rng(9)
     q = configurations(PANDA, 1, rng, 0.6)[0]
@@ -251,6 +255,7 @@ def test_motions_end_in_the_posture():
 POSE = "0.4,0.1,0.5,3.0,0.2,0"
 
 
+@pytest.mark.slow
 def test_the_command_finds_and_certifies(capsys, tmp_path):
     out = tmp_path / "commands.csv"
     assert (
@@ -278,6 +283,7 @@ def test_the_command_finds_and_certifies(capsys, tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words, message",
     [

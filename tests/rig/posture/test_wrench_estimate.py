@@ -160,6 +160,7 @@ def test_greatest_forces_are_those_of_linear_programming():
         ).min() >= least * (1 - 1e-12)
 
 
+@pytest.mark.slow
 def test_a_posture_is_found_that_exerts_more_and_its_slope_is_that_of_differences():
     wish, q = (
         ExertionObjective(np.array([0, 0, -30.0, 0, 0, 0]), STRENGTH),
@@ -195,6 +196,7 @@ def test_the_hand_may_move_while_its_orientation_is_held():
     assert np.abs(turned).max() < 1e-8 and (rows[0] == q[0]).all() and (rows[-1] == found.q[0]).all()
 
 
+@pytest.mark.slow
 def test_the_command_says_what_a_posture_can_exert_and_draws_it(capsys, tmp_path):
     drawn = tmp_path / "force.svg"
     assert (

@@ -32,6 +32,7 @@ def known(folder):
     return frame_selection_and_content_hashes.sorted_hashes_of_frames(of(folder))
 
 
+@pytest.mark.slow
 def test_another_recording_by_the_same_commands_shares_nothing(two):
     assert not frame_selection_and_content_hashes.frames_with_known_hashes(of(two / "check"), known(two / "fit"))
 
@@ -134,6 +135,7 @@ def test_on_line_learning_takes_each_frame_once(two, tmp_path, capfd):
     assert "made from 30 of the frames" in capfd.readouterr().err and not (tmp_path / "d").exists()
 
 
+@pytest.mark.slow
 def test_a_recording_that_has_grown_adds_what_is_new(two, tmp_path, capfd):
     short = tmp_path / "short"
     shutil.copytree(two / "fit", short)

@@ -83,6 +83,7 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     np.testing.assert_allclose(-(up - down) / (2 * h), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("free", [("poses", "lenses"), EVERYTHING])
 def test_optimum_equals_scipys(setting, free):
     observations, stated, true, T = setting

@@ -43,6 +43,7 @@ def datums(measured, true):
     ]
 
 
+@pytest.mark.slow
 def test_frames_are_solved_and_their_covariance_is_true(worked):
     observations, stated, true, t, m = worked
     assert len(m.frames) >= 0.9 * len(t)
@@ -93,6 +94,7 @@ def test_stated_places_that_contradict_are_told(worked):
     assert len(unsolved_frames_with_enough_markers(m)) > 0.05 * len(t) and len(m.frames) < len(worked[-1].frames)
 
 
+@pytest.mark.slow
 def test_one_sighting_counts_only_where_neighbours_confirm_it(worked):
     observations, stated, true, t, m = worked
     full = [

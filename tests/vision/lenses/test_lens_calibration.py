@@ -57,6 +57,7 @@ def test_the_lens_is_found_within_its_covariance():
     assert np.mean(square) == pytest.approx(9, rel=4 * np.sqrt(2 / (9 * 12)))
 
 
+@pytest.mark.slow
 def test_the_simplest_model_that_serves_is_taken():
     o = observations_from_board_views(views(3), BOARD)
     inliers = np.ones(len(o), bool)

@@ -73,6 +73,7 @@ def searches(monkeypatch):
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["commanded", "the frame before", "commands that lie"])
 def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, how):
     recording, T = drawn
@@ -104,6 +105,7 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
     assert np.sqrt(np.mean(away**2)) < 0.01 and np.median(np.abs(away)) < 2e-3
 
 
+@pytest.mark.slow
 def test_poses_are_the_same_and_right(drawn):
     recording, T = drawn
     m, _ = measure_recording(recording)
@@ -136,6 +138,7 @@ def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeyp
     assert found.cameras == {camera.name: taught}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case, searched", [("hidden", 0), ("turned", 1), ("another", 1), ("half of them hidden", 1)])
 def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, searches, tmp_path, case, searched):
     recording, T = drawn

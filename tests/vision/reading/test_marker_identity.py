@@ -128,6 +128,7 @@ def printed(camera, T, markers, as_another):
     return image
 
 
+@pytest.mark.slow
 def test_an_identity_that_rig_toml_lacks_is_seen_in_its_place(design):
     a, markers = seen_often(design)[0], marker_map(design)
     observations, stated, true, T = scene(design, 4)
@@ -145,6 +146,7 @@ def test_an_identity_that_rig_toml_lacks_is_seen_in_its_place(design):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["as stated", "another dictionary", "mirrored", "other identities", "nothing"])
 def test_why_no_marker_was_found(design, case):
     markers, camera = marker_map(design), design.cameras[0]

@@ -28,6 +28,7 @@ def measured(check):
     return measure_recording(check)
 
 
+@pytest.mark.slow
 def test_poses_from_images_are_within_their_covariance(measured):
     m, _ = measured
     truth = RigidTransform.from_matrix(
@@ -97,6 +98,7 @@ def test_an_image_that_cannot_be_decoded_is_named(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_says_why(tmp_path, design, rig_text):
     folder = tmp_path / "rec"
     make_recording(folder, design, rig_text, 1, count=3)

@@ -74,6 +74,7 @@ def test_wanted_poses_are_taken_as_the_visited_ones_were(plain):
     assert np.abs(commands - samples.commanded[bent]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_pose_out_of_reach_is_named(plain):
     _, samples, done = plain
     far = samples.T_base_platform[:3].as_matrix()
@@ -83,6 +84,7 @@ def test_a_pose_out_of_reach_is_named(plain):
     assert list(caught.value.index) == [2]
 
 
+@pytest.mark.slow
 def test_joint_profiles_are_found_where_they_pay():
     rng = np.random.default_rng(2)
     true = worlds.secret(UR10, rng)
@@ -103,6 +105,7 @@ def test_joint_profiles_are_found_where_they_pay():
     )
 
 
+@pytest.mark.slow
 def test_profiles_that_do_not_pay_are_dropped():
     """A drift in time is no function of the joints' angles, whatever the samples it was fitted on say."""
     rng = np.random.default_rng(3)

@@ -233,6 +233,7 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     np.testing.assert_array_equal(result.error(q), done.correction.extension.error(q))
 
 
+@pytest.mark.slow
 def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     rig, rng = command(capsys), np.random.default_rng(2)
     true = worlds.secret(UR10, rng)
@@ -249,6 +250,7 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2
 
 
+@pytest.mark.slow
 def test_vertices_without_a_pose_are_listed_and_planned_and_corrected_nearly_as_well(tmp_path, capsys):
     rig, rng = command(capsys), np.random.default_rng(7)
     true = worlds.secret(SCARA, rng, 0.3)

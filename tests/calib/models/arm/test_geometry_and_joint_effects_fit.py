@@ -130,6 +130,7 @@ def fitted(read, effects, before=None, rows=slice(None)):
     return fit_geometry_and_effects(samples, History(read.design, read.commands, read.sensors), start, effects, before)
 
 
+@pytest.mark.slow
 def test_a_gap_is_found_as_sure_as_it_says_whatever_it_starts_from(played):
     read, _ = played
     found = [fitted(read, (parse_effect(f"backlash:joint 2:gap={gap}"),)) for gap in (1e-5, 9e-4)]

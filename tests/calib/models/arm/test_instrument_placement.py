@@ -85,6 +85,7 @@ def test_an_arm_is_found_from_a_bad_start(seed):
     assert missed(seed) < 1e-3
 
 
+@pytest.mark.slow
 def test_what_a_level_hand_leaves_open_goes_nowhere():
     for seed in range(3):
         rng = np.random.default_rng(seed)

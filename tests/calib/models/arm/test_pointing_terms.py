@@ -73,6 +73,7 @@ def calibrated(folder, seed):
     return (terms.values - list(TRUE.values())) / terms.sigma, np.sqrt((error**2).mean()) / SIGMA
 
 
+@pytest.mark.slow
 def test_a_mount_is_told_its_terms_in_spite_of_wrong_stars(tmp_path):
     scores, held = zip(*(calibrated(_folder(tmp_path, seed), seed) for seed in range(4)))
     assert np.abs(scores).max() < 4 and np.median(held) < 1.06

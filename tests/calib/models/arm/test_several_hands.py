@@ -139,6 +139,7 @@ def test_base_and_tool_are_placed_by_the_hand_that_was_measured(arm, seen):
         place_base_and_tool_of_arm(few, arm, True, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seen", ["left", "right"])
 def test_poses_of_one_hand_are_calibrated_and_what_the_other_would_show_is_named(tmp_path, seen):
     synthetic.simulate(HUMANOID, synthetic.SimulateOptions(plan="sobol:40", seed=4)).write(tmp_path / "REC")
@@ -164,6 +165,7 @@ def test_a_wild_pose_of_one_hand_leaves_the_other_in_the_fit(arm):
     assert np.flatnonzero(~found.inliers).tolist() == [41]
 
 
+@pytest.mark.slow
 def test_the_claim_is_held_against_the_poses_of_every_hand(tmp_path):
     simulated = synthetic.simulate(HUMANOID, synthetic.SimulateOptions(plan="sobol:40", seed=5))
     simulated.write(tmp_path / "REC")

@@ -81,6 +81,7 @@ def test_an_unknown_place_is_found(name):
     )
 
 
+@pytest.mark.slow
 def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     rng = np.random.default_rng(4)
     true = worlds.secret(SCARA, rng)

@@ -48,6 +48,7 @@ def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     assert np.abs(pose_difference(here.predict(commands), wanted)).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is_counted():
     samples, wanted = drawn(UR10, 0, 60, lambda q: 2e-3 * np.sin(q))
     correction, _ = calibrate_arm(samples, UR10, worlds.TRACKER, False)

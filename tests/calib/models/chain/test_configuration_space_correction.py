@@ -66,6 +66,7 @@ def test_summands_are_the_least_that_explain_a_pose(machine):
     assert np.abs(still @ (k / span)[..., None]).max() < 0.02 * np.abs(k / span).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, alone, most", [("simplex", True, 2e-5), ("radial", False, 1.2 * rms(SIGMA[None]))])
 def test_commands_lead_to_wanted_poses_closer_than_any_geometry(machine, kind, alone, most, tmp_path):
     nominal, _, box = machine

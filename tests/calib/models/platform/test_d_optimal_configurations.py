@@ -37,6 +37,7 @@ def singular(root):
     return np.linalg.svd(root * PLAUSIBLE, compute_uv=False)
 
 
+@pytest.mark.slow
 def test_each_criterion_is_best_at_its_own(chosen):
     s = {name: singular(found.root) for name, found in chosen.items()}
     even = singular(chosen["noise"].even)

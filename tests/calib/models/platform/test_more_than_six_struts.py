@@ -100,6 +100,7 @@ def test_followers_bear_no_load_and_driven_struts_share_it_as_springs_do():
     np.testing.assert_allclose(loads, -stiffness * (rates @ moved)[..., 0], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("struts", [7, 8])
 def test_all_struts_are_identified_and_no_longer_fight(struts):
     rng = np.random.default_rng(10 + struts)

@@ -53,6 +53,7 @@ def test_every_protocol_passes(hexapod, protocol):
     assert len(checks) == 27 and [(check.name, check.problem) for check in checks if check.problem] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", UNSAFE)
 def test_an_unsafe_protocol_fails_where_it_is_unsafe(tmp_path, hexapod, name):
     old, new, check = UNSAFE[name]
@@ -68,6 +69,7 @@ def test_an_unsafe_protocol_fails_where_it_is_unsafe(tmp_path, hexapod, name):
     assert tried[check], tried
 
 
+@pytest.mark.slow
 def test_a_new_protocol_is_written_and_tested(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["emulate", "--new", "mine"]) == 0

@@ -70,6 +70,7 @@ def words(folder):
     return ("import", folder / "bilder", "--rig", folder / "rig.toml", *tables, "--out", folder / "rec")
 
 
+@pytest.mark.slow
 def test_the_first_attempt_names_everything_and_the_second_is_right(tmp_path):
     own_data(tmp_path)
     status, text = run_in_process(*words(tmp_path))

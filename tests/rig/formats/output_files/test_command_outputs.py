@@ -198,6 +198,7 @@ print("done")
 """
 
 
+@pytest.mark.slow
 def test_killed_at_every_step_a_folder_is_old_or_new_or_marked(tmp_path):
     """A process is killed before its nth change on the disk, for every n: files are whole, mixtures are marked, and the
     next run works.

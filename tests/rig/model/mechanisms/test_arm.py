@@ -82,6 +82,7 @@ def test_inverse_stays_near_the_guess():
     assert np.abs(found - q).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_pose_out_of_reach_is_named():
     T = mechanism.forward(np.full((3, 6), 0.4), UR10)
     far = T.as_matrix()
@@ -176,6 +177,7 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12 and np.abs(found - q).max() < 0.4
 
 
+@pytest.mark.slow
 def test_an_arm_of_few_joints_has_no_joint_values_for_a_pose_it_cannot_take():
     T = mechanism.forward(np.array([[0.3, 0.4, 0.1, 0.2]]), SCARA)
     with pytest.raises(Unreachable, match="no nearer"):
