@@ -168,11 +168,11 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
     pictures = options.pictures(design.sensor)
     _require_observer(design, path, options.images)
     if options.images:
-        from synthetic.ideal_image_renderer import import_pyrender
+        from synthetic.ideal_image_renderer import import_pyrender_without_viewer
         from synthetic.image_simulation import require_renderable
 
         require_renderable(effects)
-        import_pyrender()
+        import_pyrender_without_viewer()
     rng = np.random.default_rng(options.seed)
     if options.machine is not None:
         world = secret_machine_and_truth_file.world_from_truth(options.machine, design, kinds)

@@ -29,7 +29,7 @@ from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import secret_machine_and_truth_file
 from synthetic import secret_machine_and_truth_file as worlds
-from synthetic.ideal_image_renderer import import_pyrender
+from synthetic.ideal_image_renderer import import_pyrender_without_viewer
 from synthetic.image_simulation import Images, render_image, require_renderable
 from synthetic.recording_simulation import Simulation
 from synthetic.secret_machine_and_truth_file import World, remount_cubes
@@ -291,7 +291,7 @@ def _serve_emulated_cameras(
             else secret_machine_and_truth_file.World(stated, stated)
         )
         require_renderable(secret.effects)
-        import_pyrender()
+        import_pyrender_without_viewer()
         clock, images = SystemClock(), Images(stated.sensor)
         home = home_lengths(require_struts(stated.mechanism))
         at_home = EmulatedCameras(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)

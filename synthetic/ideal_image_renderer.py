@@ -44,7 +44,7 @@ TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
 
 
-def import_pyrender() -> types.ModuleType:
+def import_pyrender_without_viewer() -> types.ModuleType:
     """Import pyrender without its viewer.
 
     Raises MissingLibrary where there is no OpenGL.
@@ -68,7 +68,7 @@ class Renderer:
     """Draws one rig for its cameras. parts : Parts of the scene; design : Design whose cameras look at it."""
 
     def __init__(self, parts: list[Part], design: Design) -> None:
-        self.pyrender = import_pyrender()
+        self.pyrender = import_pyrender_without_viewer()
         self.parts, self.mechanism = parts, design.mechanism
         self.numbers = {
             id(part): 1 + k % NUMBERS for k, part in enumerate(part for part in parts if part.ink is not None)

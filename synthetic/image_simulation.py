@@ -29,7 +29,7 @@ from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import rig_meshes, secret_machine_and_truth_file
-from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender
+from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender_without_viewer
 from synthetic.marker_drawing_sensor_and_occlusion import expose_image
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
@@ -67,7 +67,7 @@ def render_images(
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
     """
     require_renderable(simulation.world.effects)
-    import_pyrender()
+    import_pyrender_without_viewer()
     world, plan = simulation.world, simulation.plan
     for camera in world.true.cameras:
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)

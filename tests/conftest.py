@@ -92,7 +92,7 @@ def opengl():
     from synthetic import ideal_image_renderer
 
     try:
-        ideal_image_renderer.import_pyrender()
+        ideal_image_renderer.import_pyrender_without_viewer()
     except MissingLibrary as error:
         pytest.skip(str(error))
 

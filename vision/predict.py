@@ -206,7 +206,8 @@ class Sightings:
 
 
 def sightings_of_markers_facing_cameras(state: State, markers: MarkerMap, least_cosine: float = STEEPEST) -> Sightings:
-    """Sightings of all markers facing a camera: ahead of it, not seen too obliquely.
+    """Sightings of all markers in front of a camera and facing it, not too obliquely.
+
     least_cosine : of the tilt
     """
     base, normals = _quads(state.platform, markers)

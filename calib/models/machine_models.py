@@ -290,9 +290,9 @@ def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTr
 
 
 def calibration_with_workspace(calibration: Calibration) -> Calibration:
-    """Calibration with its workspace computed; a chain has none, nor an arm whose hand stays or has others beside.
+    """Calibration with its workspace computed, where its machine has one.
 
-    A chain has none, nor has an arm whose hand stays in one place.
+    A chain has none, nor has an arm whose hand stays in one place or has others beside it.
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = calibration.correction.nominal

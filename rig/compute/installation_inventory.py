@@ -18,7 +18,7 @@ from pathlib import Path
 SPACE = 2e9  # bytes: a recording of a thousand images of a megapixel, and what is made of it
 CONTEXT = """
 import os
-from synthetic.ideal_image_renderer import import_pyrender as opengl
+from synthetic.ideal_image_renderer import import_pyrender_without_viewer as opengl
 pyrender = opengl()
 renderer = pyrender.OffscreenRenderer(8, 8)
 from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString

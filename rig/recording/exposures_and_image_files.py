@@ -253,7 +253,7 @@ def undecodable_images(folder: Path, exposures: Exposures) -> list[UnreadableIma
 def load_exposures(
     folder: Path,
     design: Design,
-    table: Table,
+    frames_table: Table,
     origin: TimeOrigin,
     skip_unreadable: bool = False,
     largest_time_difference: float = SIMULTANEOUS,
@@ -264,32 +264,37 @@ def load_exposures(
     skip_unreadable : whether images that cannot be used are left out, which takes decoding every one; else they are
         errors, all of them named in one. Raises FileError with line and column.
     """
-    written = table.text("t")
-    frame, t, camera, image = table.whole("frame"), table.times("t", origin), table.text("camera"), table.text("image")
+    written = frames_table.text("t")
+    frame, t, camera, image = (
+        frames_table.whole("frame"),
+        frames_table.times("t", origin),
+        frames_table.text("camera"),
+        frames_table.text("image"),
+    )
     cameras = {c.name: c for c in design.cameras}
     seen: dict[Any, Any] = {}
     start: dict[Any, Any] = {}
     last = (-1, -np.inf, "")
-    for i in range(len(table)):
+    for i in range(len(frames_table)):
         if camera[i] and camera[i] not in cameras:
-            table.fail(
+            frames_table.fail(
                 f"unknown camera {camera[i]!r}; rig.toml has {', '.join(map(repr, cameras)) or 'none'}",
                 i,
                 "camera",
                 camera[i],
             )
         if image[i] and not camera[i]:
-            table.fail(f"image {image[i]!r} without a camera", i, "camera")
+            frames_table.fail(f"image {image[i]!r} without a camera", i, "camera")
         if (frame[i], camera[i]) in seen:
-            table.fail(
+            frames_table.fail(
                 f"frame {frame[i]} of camera {camera[i]!r} is listed twice, first in line {seen[frame[i], camera[i]]}",
                 i,
                 "frame",
             )
-        seen[frame[i], camera[i]] = table.lines[i]
+        seen[frame[i], camera[i]] = frames_table.lines[i]
         if frame[i] in start:
             if abs(t[i] - start[frame[i]]) > largest_time_difference:
-                table.fail(
+                frames_table.fail(
                     f"frame {frame[i]} at t = {written[i]} s, but its first exposure was at "
                     f"{origin.text(start[frame[i]])} s: "
                     f"exposures of one frame are simultaneous, to {largest_time_difference:g} s",
@@ -299,13 +304,15 @@ def load_exposures(
                 )
             continue
         if frame[i] < last[0]:
-            table.fail(f"frame {frame[i]} follows frame {last[0]}: frames must come in order", i, "frame", frame[i])
+            frames_table.fail(
+                f"frame {frame[i]} follows frame {last[0]}: frames must come in order", i, "frame", frame[i]
+            )
         if t[i] < last[1]:
-            table.fail(f"time runs backwards: t = {written[i]} s follows {last[2]} s", i, "t", written[i])
+            frames_table.fail(f"time runs backwards: t = {written[i]} s follows {last[2]} s", i, "t", written[i])
         start[frame[i]], last = t[i], (frame[i], t[i], written[i])
     looked_at = (
-        _unusable(folder, image[i], frame[i], cameras[camera[i]], table.lines[i], skip_unreadable)
-        for i in range(len(table))
+        _unusable(folder, image[i], frame[i], cameras[camera[i]], frames_table.lines[i], skip_unreadable)
+        for i in range(len(frames_table))
         if image[i]
     )
     bad = [found for found in looked_at if found]

@@ -146,9 +146,10 @@ def test_cameras_drawn_in_turn_leave_no_framebuffers(design, opengl):
 
 def test_without_opengl_one_clear_line(tmp_path):
     code = (
-        "import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.ideal_image_renderer import import_pyrender\nfrom "
-        "rig.errors import MissingLibrary\n"
-        "try: import_pyrender()\nexcept MissingLibrary as e: print(e)"
+        "import sys\nsys.modules['OpenGL.GL'] = None\n"
+        "from synthetic.ideal_image_renderer import import_pyrender_without_viewer\n"
+        "from rig.errors import MissingLibrary\n"
+        "try: import_pyrender_without_viewer()\nexcept MissingLibrary as e: print(e)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     assert "apt-get install -y libegl1 libgl1" in out and out.count("\n") == 1

@@ -293,7 +293,7 @@ def finding_entry(diagnosis: Diagnosis, finding: Finding[Any], cross_validation:
             other.place,
             a.behind,
             a.cosine,
-            separating_experiment_text((kind, place), (other.kind, other.place)),
+            text_of_experiment_separating_hypotheses((kind, place), (other.kind, other.place)),
             a.score.node.get("order"),
         )
         for a, other in ((a, a.score.candidate) for a in finding.alternatives)
@@ -375,7 +375,7 @@ def misfit_before_and_after_entry(fit: Misfit) -> FitEntry:
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 
-def separating_experiment_text(*sites: tuple[type[Effect], str]) -> str:
+def text_of_experiment_separating_hypotheses(*sites: tuple[type[Effect], str]) -> str:
     """Text on the experiment that would separate two hypotheses, an effect at a place each."""
     names, shown = [kind.name for kind, _ in sites], [kind.experiment_at(place) for kind, place in sites]
     return shown[0] if names[0] == names[1] else "; ".join(f"{name}: {text}" for name, text in zip(names, shown))

@@ -287,7 +287,7 @@ class InverseSolutions(NamedTuple):
 
 
 def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> InverseSolutions:
-    """Numerical InverseSolutions of one pose () of an Arm from many starts, those within the limits first."""
+    """Numerical InverseSolutions of one pose of an Arm from many starts, those within the limits first."""
     n, (low, high) = len(arm.joints), arm.limits.T
     begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))

@@ -120,7 +120,7 @@ def split_rows_by_frame_bases(rows: Floats, frame_bases: Floats, frame_edges: In
 
 
 def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> CornerDerivatives:
-    """CornerDerivatives at an OperatingPoint that predicts pixels (n, 2) px."""
+    """Whitened CornerDerivatives at an OperatingPoint whose predicted pixels are (n, 2) px."""
     o = point.observed.observations
     n, L = len(o), 6 + 6 * len(point.moving)
     weights = _weights(o, point)
