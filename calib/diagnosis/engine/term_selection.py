@@ -11,7 +11,6 @@ from typing import Any, Generic
 import numpy as np
 
 from calib.diagnosis.engine.candidate_score import (
-    SEVERAL,
     Scans,
     Score,
     best_effect_at_several_axes,
@@ -28,7 +27,6 @@ from calib.diagnosis.engine.confirmation_against_alternatives import (
 )
 from calib.diagnosis.engine.linear_model import Projection, join_columns
 from calib.diagnosis.engine.problem_interface import (
-    AdmissionRules,
     Companions,
     Fit,
     Model,
@@ -38,11 +36,16 @@ from calib.diagnosis.engine.problem_interface import (
     TermSimplification,
     Tolerances,
 )
+from calib.diagnosis.engine.whole_machine_and_axis_terms import (
+    HypothesisKeys,
+    Merges,
+    admissible_candidates,
+    one_hypothesis_of_alike_axes,
+    terms_at_axes_apart,
+)
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
-HypothesisKeys = set[tuple[object, ...]]  # of those admitted once
-Merges = set[tuple[str, frozenset[Site]]]  # (name at several axes, (name, place) of all other terms), tried as one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +82,9 @@ def select_terms(
             break
         searched = problem.terms(more)
         fit, findings = confirm_terms(problem, more, scans, progress)
+    apart = terms_at_axes_apart(problem, fit)
+    if apart is not None:
+        fit, findings = confirm_terms(problem, remove_redundant_terms(problem, apart), scans, progress)
     return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
@@ -117,18 +123,13 @@ def _chosen(
 def _fit_with_terms_at(problem: Problem[Fit, Model, C], fit: Fit, sites: list[Site]) -> Fit:
     """The Fit with terms of these names and places admitted, each at its best beside those before it."""
     for site in sites:
-        own = [c for c in _admissible(problem, fit) if (c.name, c.place) == site]
+        own = [c for c in admissible_candidates(problem, fit) if (c.name, c.place) == site]
         model = problem.residual(fit)
         size = problem.linear(model).size
         scores = problem.search(model, own, -np.inf, None)
         if scores:
             fit = problem.add_term(fit, max(scores, key=lambda s: s.evidence(size)))
     return _refined(problem, fit) if sites else fit
-
-
-def _admissible(problem: Problem[Fit, Model, C], fit: Fit) -> list[C]:
-    """The candidates that may still be admitted."""
-    return problem.admissible(fit) if isinstance(problem, AdmissionRules) else problem.candidates
 
 
 def _refined(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
@@ -167,8 +168,8 @@ def _steps(
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         model_size = problem.linear(model).size
-        label = search_label(problem.terms(fit))
-        scores = problem.search(model, _admissible(problem, fit), policy.delta_bic, labelled_progress(progress, label))
+        candidates, label = admissible_candidates(problem, fit), search_label(problem.terms(fit))
+        scores = problem.search(model, candidates, policy.delta_bic, labelled_progress(progress, label))
         scans.keep(problem.terms(fit), scores)
         fresh = [s for s in scores if _hypothesis_key(s) not in keys and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if is_significant(s, count, model_size, policy)] or _hidden(
@@ -193,7 +194,7 @@ def _steps(
         site = score.candidate.name, score.candidate.place
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
-        fit = _one_hypothesis_of_alike_axes(problem, fit, keys, merged)
+        fit = one_hypothesis_of_alike_axes(problem, fit, keys, merged)
     return None if _tolerances_explain(problem, fit, None) else fit
 
 
@@ -290,61 +291,14 @@ def _same_name_elsewhere(
         if place == admitted.candidate.place or len(problem.terms(fit)) >= policy.most:
             continue
         model = problem.residual(fit)
-        variants = [c for c in _admissible(problem, fit) if (c.name, c.place) == (score.candidate.name, place)]
+        site = score.candidate.name, place
+        variants = [c for c in admissible_candidates(problem, fit) if (c.name, c.place) == site]
         scores = problem.search(model, variants, -np.inf, None)
         best = max(scores, key=lambda s: s.evidence(size), default=None)
         if best is not None and is_significant(best, len(problem.candidates), problem.linear(model).size, policy):
             keys.add(_hypothesis_key(best))
             fit = problem.add_term(fit, best)
     return fit
-
-
-def _one_hypothesis_of_alike_axes(
-    problem: Problem[Fit, Model, C], fit: Fit, keys: HypothesisKeys, merged: Merges
-) -> Fit:
-    """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
-    likelier once fitted, by what residuals scatter, and no axis then shows what no name explains; axes may then differ
-    from it anew. merged : those tried, each once"""
-    terms, size = problem.terms(fit), problem.size(fit)
-    for name in dict.fromkeys(c.name for c in terms if c.site.is_axis):
-        tried = name, frozenset((c.name, c.place) for c in terms if c.name != name)
-        numbers = [i for i, c in enumerate(terms) if c.name == name and c.site.is_axis]
-        whole = [c for c in problem.candidates if c.name == name and not c.site.is_axis]
-        places = {terms[i].place for i in numbers}
-        if len(places) < SEVERAL or not whole or any(problem.given.holds(terms[i]) for i in numbers) or tried in merged:
-            continue
-        bare, left = fit, problem.linear(problem.residual(fit))
-        for number in reversed(numbers):
-            bare = problem.remove_term(bare, number)
-        scores = problem.search(problem.residual(bare), whole, -np.inf, None)
-        if not scores:
-            continue
-        new = problem.add_term(bare, max(scores, key=lambda s: s.evidence(size)))
-        fewer = _parameters(problem, fit, numbers) - _parameters(problem, new, [len(problem.terms(new)) - 1])
-        gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
-        merged.add(tried)
-        if gain + fewer * np.log(size) > 0 and not _leaves_axes_unexplained(problem, fit, new, name, places):
-            keys -= {known for known in keys if known[0] == name and known[1] in places}
-            return new
-    return fit
-
-
-def _leaves_axes_unexplained(problem: Problem[Fit, Model, C], fit: Fit, new: Fit, name: str, places: set[str]) -> bool:
-    """Whether with one hypothesis of a name in place of those at several axes, an axis shows a misfit that it did not
-    show before and that the name, differing there, would not explain."""
-    model = problem.residual(new)
-    explained = {u.place for u in problem.lack_of_fit(problem.residual(fit))}
-    left = [u for u in problem.lack_of_fit(model) if u.place not in explained and str(u.place) in places]
-    if not left:
-        return False
-    own = [c for c in _admissible(problem, new) if c.name == name and c.place in places]
-    count, size = len(problem.candidates), problem.linear(model).size
-    return not any(is_significant(s, count, size, problem.policy) for s in problem.search(model, own, -np.inf, None))
-
-
-def _parameters(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[int]) -> float:
-    """How many numbers some terms of a Fit have, those found on a grid included."""
-    return sum(problem.wald(fit, n).freedom + problem.terms(fit)[n].extra for n in numbers)
 
 
 def _companions(

@@ -88,6 +88,15 @@ def test_other_names_for_several_that_are_refuted_together_stand_where_they_expl
 
 
 @pytest.mark.slow
+def test_a_lag_of_all_struts_of_which_two_lag_less_is_named_strut_by_strut(tmp_path):
+    """A lag has no negative size: what two struts lack of the machine's was unknown, and took those of three with
+    it."""
+    result, effects, hidden = diagnosed(95000, 2, tmp_path)
+    assert not result.left
+    require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
 def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(tmp_path):
     result, effects, hidden = diagnosed(68004, 3, tmp_path)
     assert not result.left
