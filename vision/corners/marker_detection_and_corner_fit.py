@@ -71,7 +71,7 @@ def opencv_detector(dictionary_name: str, numbers: tuple[int, ...] = ()) -> cv2.
 
 
 def read_marker_ids(image: Pixels, dictionary_name: str) -> list[int]:
-    """Identities of a dictionary's markers that OpenCV reads in an image, repeated ones each."""
+    """Identities of a dictionary's markers that OpenCV reads in an image (height, width) uint8, in the order read."""
     ids = opencv_detector(dictionary_name).detectMarkers(image)[1]
     return [] if ids is None else [int(number) for number in ids.ravel()]
 

@@ -40,6 +40,7 @@ from calib.diagnosis.engine.whole_machine_and_axis_terms import (
     HypothesisKeys,
     Merges,
     admissible_candidates,
+    best_score,
     one_hypothesis_of_alike_axes,
     terms_at_axes_apart,
 )
@@ -124,11 +125,9 @@ def _fit_with_terms_at(problem: Problem[Fit, Model, C], fit: Fit, sites: list[Si
     """The Fit with terms of these names and places admitted, each at its best beside those before it."""
     for site in sites:
         own = [c for c in admissible_candidates(problem, fit) if (c.name, c.place) == site]
-        model = problem.residual(fit)
-        size = problem.linear(model).size
-        scores = problem.search(model, own, -np.inf, None)
-        if scores:
-            fit = problem.add_term(fit, max(scores, key=lambda s: s.evidence(size)))
+        best = best_score(problem, fit, own, problem.linear(problem.residual(fit)).size)
+        if best is not None:
+            fit = problem.add_term(fit, best)
     return _refined(problem, fit) if sites else fit
 
 
@@ -290,12 +289,10 @@ def _same_name_elsewhere(
         place = score.candidate.place
         if place == admitted.candidate.place or len(problem.terms(fit)) >= policy.most:
             continue
-        model = problem.residual(fit)
         site = score.candidate.name, place
         variants = [c for c in admissible_candidates(problem, fit) if (c.name, c.place) == site]
-        scores = problem.search(model, variants, -np.inf, None)
-        best = max(scores, key=lambda s: s.evidence(size), default=None)
-        if best is not None and is_significant(best, len(problem.candidates), problem.linear(model).size, policy):
+        best, model_size = best_score(problem, fit, variants, size), problem.linear(problem.residual(fit)).size
+        if best is not None and is_significant(best, len(problem.candidates), model_size, policy):
             keys.add(_hypothesis_key(best))
             fit = problem.add_term(fit, best)
     return fit

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import SEVERAL
+from calib.diagnosis.engine.candidate_score import SEVERAL, Score
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
 from calib.diagnosis.engine.confirmation_against_alternatives import is_significant
 from calib.diagnosis.engine.problem_interface import AdmissionRules, Fit, Model, Problem
@@ -14,6 +14,12 @@ Merges = set[tuple[str, frozenset[Site]]]  # (name at several axes, (name, place
 def admissible_candidates(problem: Problem[Fit, Model, C], fit: Fit) -> list[C]:
     """Candidates of a problem that may still be admitted to a Fit."""
     return problem.admissible(fit) if isinstance(problem, AdmissionRules) else problem.candidates
+
+
+def best_score(problem: Problem[Fit, Model, C], fit: Fit, candidates: list[C], size: int) -> Score[C] | None:
+    """Score with the most evidence, by residuals of a size, of candidates beside a Fit; None where none is seen."""
+    scores = problem.search(problem.residual(fit), candidates, -np.inf, None)
+    return max(scores, key=lambda s: s.evidence(size), default=None)
 
 
 def one_hypothesis_of_alike_axes(
@@ -30,17 +36,16 @@ def one_hypothesis_of_alike_axes(
         places = {terms[i].place for i in numbers}
         if len(places) < SEVERAL or not whole or any(problem.given.holds(terms[i]) for i in numbers) or tried in merged:
             continue
-        bare, left = fit, problem.linear(problem.residual(fit))
-        for number in reversed(numbers):
-            bare = problem.remove_term(bare, number)
-        scores = problem.search(problem.residual(bare), whole, -np.inf, None)
-        if not scores:
+        bare = _without_terms(problem, fit, numbers)
+        best = best_score(problem, bare, whole, size)
+        if best is None:
             continue
-        new = problem.add_term(bare, max(scores, key=lambda s: s.evidence(size)))
+        new = problem.add_term(bare, best)
         fewer = _parameters(problem, fit, numbers) - _parameters(problem, new, [len(problem.terms(new)) - 1])
-        gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
         merged.add(tried)
-        if gain + fewer * np.log(size) > 0 and not _leaves_axes_unexplained(problem, fit, new, name, places):
+        if _gain(problem, fit, new) + fewer * np.log(size) > 0 and not _leaves_axes_unexplained(
+            problem, fit, new, name, places
+        ):
             keys -= {known for known in keys if known[0] == name and known[1] in places}
             return new
     return fit
@@ -57,27 +62,21 @@ def terms_at_axes_apart(problem: Problem[Fit, Model, C], fit: Fit) -> Fit | None
     whole = [c for c in terms if not c.site.is_axis and of_axes[c.name] and not problem.given.holds(c)]
     if not whole:
         return None
-    model = problem.residual(fit)
-    left, shown = problem.linear(model), {str(u.place) for u in problem.lack_of_fit(model)}
+    shown = {str(u.place) for u in problem.lack_of_fit(problem.residual(fit))}
     for name in dict.fromkeys(c.name for c in whole):
         places = list(dict.fromkeys(c.place for c in of_axes[name]))
         numbers = [i for i, c in enumerate(terms) if c.name == name]
         if not shown & set(places) or any(problem.given.holds(terms[i]) for i in numbers):
             continue
-        new = fit
-        for number in reversed(numbers):
-            new = problem.remove_term(new, number)
+        new = _without_terms(problem, fit, numbers)
         before = len(problem.terms(new))
         for place in places:
-            variants = [c for c in of_axes[name] if c.place == place]
-            scores = problem.search(problem.residual(new), variants, -np.inf, None)
-            best = max(scores, key=lambda s: s.evidence(size), default=None)
+            best = best_score(problem, new, [c for c in of_axes[name] if c.place == place], size)
             if best is not None and best.evidence(size) > 0:
                 new = problem.add_term(new, best)
         more = _parameters(problem, new, list(range(before, len(problem.terms(new)))))
         more -= _parameters(problem, fit, numbers)
-        gain = problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
-        if gain > more * np.log(size) + 2 * np.log(count):
+        if _gain(problem, fit, new) > more * np.log(size) + 2 * np.log(count):
             return new
     return None
 
@@ -93,6 +92,21 @@ def _leaves_axes_unexplained(problem: Problem[Fit, Model, C], fit: Fit, new: Fit
     own = [c for c in admissible_candidates(problem, new) if c.name == name and c.place in places]
     count, size = len(problem.candidates), problem.linear(model).size
     return not any(is_significant(s, count, size, problem.policy) for s in problem.search(model, own, -np.inf, None))
+
+
+def _without_terms(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[int]) -> Fit:
+    """The Fit without the terms of these numbers, in ascending order."""
+    for number in reversed(numbers):
+        fit = problem.remove_term(fit, number)
+    return fit
+
+
+def _gain(problem: Problem[Fit, Model, C], fit: Fit, new: Fit) -> float:
+    """Likelihood ratio of a new Fit against a Fit, by what the latter's residuals scatter where that is more than
+    stated.
+    """
+    left = problem.linear(problem.residual(fit))
+    return problem.likelihood_ratio(fit, new) / max(left.cost() / left.size, 1.0)
 
 
 def _parameters(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[int]) -> float:
