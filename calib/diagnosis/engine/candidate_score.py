@@ -10,7 +10,14 @@ from typing import Generic
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Candidate, Node, Role, UsualRange
+from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
+    C,
+    Candidate,
+    Node,
+    Role,
+    SelectionPolicy,
+    UsualRange,
+)
 from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved, normal_equations_by_direction_weights
@@ -136,6 +143,29 @@ class Scans(Generic[C]):
 def _is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
     """Whether two Scores of a candidate, each beside some terms, tell the same."""
     return abs(one.evidence(size) - other.evidence(size)) <= SAME * abs(other.evidence(size))
+
+
+def is_significant(
+    score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
+) -> bool:
+    """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
+    return (
+        score.p_value * candidate_count <= policy.alpha
+        and score.delta_bic(independent_residual_count) >= policy.delta_bic
+    )
+
+
+def may_become_significant_when_fitted(
+    score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
+) -> bool:
+    """Whether a Score that is not significant may become so when fitted.
+
+    It is unlikely by chance, or explains much by whichever frames.
+    """
+    return policy.hidden > 0 and (
+        score.p_value * candidate_count <= policy.hidden
+        or score.raw_delta_bic(independent_residual_count) >= policy.delta_bic
+    )
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:

@@ -7,7 +7,15 @@ from typing import Generic
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import SEVERAL, Alternative, Scans, Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.candidate_score import (
+    SEVERAL,
+    Alternative,
+    Scans,
+    Score,
+    is_significant,
+    may_become_significant_when_fitted,
+    score_raised_to_likelihood_ratio,
+)
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, SelectionPolicy
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import column_cosine
@@ -20,6 +28,7 @@ from calib.diagnosis.engine.problem_interface import (
     Progress,
     UnfittedNodes,
 )
+from calib.diagnosis.engine.whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
 from rig.model.hands_effect_places_and_tolerances import Place
 
 TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
@@ -153,16 +162,6 @@ class Finding(Generic[C]):
     alternatives: list[Alternative[C]]
 
 
-def is_significant(
-    score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
-) -> bool:
-    """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
-    return (
-        score.p_value * candidate_count <= policy.alpha
-        and score.delta_bic(independent_residual_count) >= policy.delta_bic
-    )
-
-
 def search_label(terms: Sequence[C]) -> str:
     """Label of a search beside terms, which names what is found so far and not yet confirmed."""
     places = [f"{term.name} at {term.place}" for term in terms]
@@ -173,19 +172,6 @@ def search_label(terms: Sequence[C]) -> str:
 def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, int], None] | None:
     """A progress (done, of) under a label, or None."""
     return None if progress is None else lambda done, of: progress(label, done, of)
-
-
-def may_become_significant_when_fitted(
-    score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
-) -> bool:
-    """Whether a Score that is not significant may become so when fitted.
-
-    It is unlikely by chance, or explains much by whichever frames.
-    """
-    return policy.hidden > 0 and (
-        score.p_value * candidate_count <= policy.hidden
-        or score.raw_delta_bic(independent_residual_count) >= policy.delta_bic
-    )
 
 
 def confirm_terms(
@@ -242,7 +228,7 @@ def _confirm_term(
         own = score_raised_to_likelihood_ratio(
             own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
         )
-    if not held and not is_significant(own, count, size, policy):  # beside all others it is none
+    if not held and not is_significant_alone_or_with_other_axes(problem, fit, number, own):  # beside all others
         return problem.remove_term(fit, number), None
     member = None if held or not replaces else _likelier_member(problem, model, fit, number, scanned, changes.replaced)
     if member is not None:

@@ -2,12 +2,9 @@
 
 from dataclasses import replace
 
+from calib.diagnosis.engine.candidate_score import is_significant
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
-from calib.diagnosis.engine.confirmation_against_alternatives import (
-    Finding,
-    is_significant,
-    refit_with_other_member_of_law,
-)
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding, refit_with_other_member_of_law
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, SmoothCover
 from calib.diagnosis.engine.term_selection import Selection

@@ -14,15 +14,15 @@ from calib.diagnosis.engine.candidate_score import (
     Scans,
     Score,
     best_effect_at_several_axes,
+    is_significant,
+    may_become_significant_when_fitted,
     score_raised_to_likelihood_ratio,
 )
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
 from calib.diagnosis.engine.confirmation_against_alternatives import (
     Finding,
     confirm_terms,
-    is_significant,
     labelled_progress,
-    may_become_significant_when_fitted,
     search_label,
 )
 from calib.diagnosis.engine.linear_model import Projection, join_columns
@@ -43,6 +43,7 @@ from calib.diagnosis.engine.whole_machine_and_axis_terms import (
     best_score,
     one_hypothesis_of_alike_axes,
     terms_at_axes_apart,
+    with_effect_weak_at_each_axis,
 )
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
@@ -163,6 +164,7 @@ def _steps(
     policy, count = problem.policy, len(problem.candidates)
     keys: HypothesisKeys = set()
     merged: Merges = set()
+    weak: set[str] = set()
     refused: list[C] = list(excluded)
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
@@ -177,7 +179,11 @@ def _steps(
         if _tolerances_explain(problem, fit, promising[0] if promising else None):
             return None
         if not promising:
-            return fit
+            together = with_effect_weak_at_each_axis(problem, fit, scores, weak)
+            if together is None:
+                return fit
+            fit = remove_redundant_terms(problem, _refined(problem, together))
+            continue
         alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
         if admitted and _smooth_beyond(problem, model, [promising[0]], alike):
             break

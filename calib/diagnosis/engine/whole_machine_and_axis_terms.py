@@ -1,12 +1,15 @@
-"""Terms of one name about the whole machine, or at its axes apart: which of the two a Fit has."""
+"""Terms of one name about the whole machine, or at its axes apart: which of the two a Fit has, and whether axes show
+a name together that none shows alone.
+"""
 
 import numpy as np
+import scipy.special
 
-from calib.diagnosis.engine.candidate_score import SEVERAL, Score
+from calib.diagnosis.engine.candidate_score import SEVERAL, Score, is_significant
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
-from calib.diagnosis.engine.confirmation_against_alternatives import is_significant
 from calib.diagnosis.engine.problem_interface import AdmissionRules, Fit, Model, Problem
 
+UNLIKELY = 0.05  # by chance: a term at one of several axes, among these
 HypothesisKeys = set[tuple[object, ...]]  # of those admitted once
 Merges = set[tuple[str, frozenset[Site]]]  # (name at several axes, (name, place) of all other terms), tried as one
 
@@ -79,6 +82,68 @@ def terms_at_axes_apart(problem: Problem[Fit, Model, C], fit: Fit) -> Fit | None
         if _gain(problem, fit, new) > more * np.log(size) + 2 * np.log(count):
             return new
     return None
+
+
+def with_effect_weak_at_each_axis(
+    problem: Problem[Fit, Model, C], fit: Fit, scores: list[Score[C]], tried: set[str]
+) -> Fit | None:
+    """The Fit with a name at several axes that is too good for chance at all of them together, though at none alone.
+
+    What the other axes do counts as scatter at each, so that few frames of a small effect convince nobody. The axes'
+    chances are combined by Fisher (Statistical methods for research workers, 1932). None where no name is so. scores :
+    of all candidates beside the Fit; tried : names, each once
+    """
+    axes = {name: _surest_at_axes(scores, name) for name in dict.fromkeys(s.candidate.name for s in scores)}
+    chances = {name: _combined_chance(of_axes) for name, of_axes in axes.items() if name not in tried}
+    name = min(chances, key=lambda name: chances[name], default="")
+    if not chances or chances[name] * len(axes) > problem.policy.alpha:
+        return None
+    tried.add(name)
+    size, terms = problem.size(fit), len(problem.terms(fit))
+    new = fit
+    for place in axes[name]:
+        own = [c for c in admissible_candidates(problem, new) if (c.name, c.place) == (name, place)]
+        best = best_score(problem, new, own, size)
+        if best is not None and best.delta_bic(size) > 0 and len(problem.terms(new)) < problem.policy.most:
+            new = problem.add_term(new, best)
+    return new if len(problem.terms(new)) - terms >= SEVERAL else None
+
+
+def _surest_at_axes(scores: list[Score[C]], name: str) -> dict[str, float]:
+    """{axis: chance that noise alone shows there the best of a name's variants}, the least likely first."""
+    own = [s for s in scores if s.candidate.name == name and s.candidate.site.is_axis]
+    places = [s.candidate.place for s in own]
+    least = {s.candidate.place: s.p_value for s in sorted(own, key=lambda s: -s.p_value)}
+    found = {place: min(p * places.count(place), 1.0) for place, p in least.items()}
+    return dict(sorted(found.items(), key=lambda item: item[1]))
+
+
+def _combined_chance(of_axes: dict[str, float]) -> float:
+    """The chance of chances {axis: p} all together; 1 where the axes are few."""
+    if len(of_axes) < SEVERAL:
+        return 1.0
+    each = np.maximum(list(of_axes.values()), 1e-300)
+    return float(scipy.special.chdtrc(2 * len(each), -2 * np.log(each).sum()))
+
+
+def is_significant_alone_or_with_other_axes(
+    problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C]
+) -> bool:
+    """Whether the term of a number is significant alone, or together with those of its name at the other axes.
+
+    With others it must still pay for its parameters, and be unlikely by chance among these axes. own : its Score beside
+    all others
+    """
+    policy, terms, size = problem.policy, problem.terms(fit), problem.size(fit)
+    if is_significant(own, len(problem.candidates), size, policy):
+        return True
+    alike = [n for n, c in enumerate(terms) if c.name == own.candidate.name and c.site.is_axis]
+    unlikely = own.p_value * len(alike) <= UNLIKELY and own.delta_bic(size) >= policy.delta_bic
+    if number not in alike or len(alike) < SEVERAL or not unlikely:
+        return False
+    others = [problem.rescored(problem.without_term(fit, n), fit, n) for n in alike if n != number]
+    names = {c.name for c in problem.candidates}
+    return _combined_chance(_surest_at_axes([own, *others], own.candidate.name)) * len(names) <= policy.alpha
 
 
 def _leaves_axes_unexplained(problem: Problem[Fit, Model, C], fit: Fit, new: Fit, name: str, places: set[str]) -> bool:

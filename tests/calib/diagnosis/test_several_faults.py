@@ -97,6 +97,14 @@ def test_a_lag_of_all_struts_of_which_two_lag_less_is_named_strut_by_strut(tmp_p
 
 
 @pytest.mark.slow
+def test_clearances_of_all_joints_that_are_weak_at_each_strut_are_named_beside_springs_of_all(tmp_path):
+    """Each moves a few frames alone, and what the other struts' do counts as scatter there."""
+    result, effects, hidden = diagnosed(95020, 2, tmp_path)
+    assert not result.left
+    require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
 def test_a_profile_as_fine_as_the_data_show_leaves_nothing_unknown_beside_a_lag(tmp_path):
     result, effects, hidden = diagnosed(68004, 3, tmp_path)
     assert not result.left

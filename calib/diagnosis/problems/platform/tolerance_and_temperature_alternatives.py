@@ -12,10 +12,11 @@ import scipy
 
 from calib.diagnosis.engine.candidate_score import Alternative, Score
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding, is_finding_significant, is_significant
+from calib.diagnosis.engine.confirmation_against_alternatives import Finding, is_finding_significant
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
+from calib.diagnosis.engine.whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
@@ -311,7 +312,7 @@ def _reason(
     share = share_not_explained_by_tolerances(
         model, found, candidate_column(model, score.candidate, score.node, sensitivities), not len(score.coefficients)
     )
-    if is_significant(_weaken_score(score, share), selection.candidate_count, problem.size(fit), problem.policy):
+    if is_significant_alone_or_with_other_axes(problem, fit, finding.number, _weaken_score(score, share)):
         return None
     own = (
         s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place)
