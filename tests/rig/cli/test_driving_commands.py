@@ -16,7 +16,6 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
-from rig.cli.command_line import main
 from rig.driving.clock import SystemClock
 from rig.driving.controller_lock import ControllerLock, stop_lock_holder
 from rig.errors import RigError
@@ -24,6 +23,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector
 from synthetic import secret_machine_and_truth_file
+from tests.cli import run
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig, runner
 
@@ -63,36 +63,35 @@ def calibration(emulated, rig):
     return str(path), fitted
 
 
-def printed(capsys, *words, ok=True):
-    assert (main(list(words)) == 0) == ok
-    out, err = capsys.readouterr()
-    return out if ok else err
+def printed(*words, ok=True):
+    """What a command prints, or where it must fail what it complains of."""
+    done = run(*words, ok=ok)
+    return done.stdout if ok else done.stderr
 
 
-def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calibration, capsys):
+def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calibration):
     path, fitted = calibration
-    assert "position not known: home" in printed(capsys, "status", rig)
-    assert "is not known" in printed(capsys, "jog", rig, "--by", "1", ok=False)
-    assert "pose by the nominal model 0.000" in printed(capsys, "home", rig).replace("-0.000", "0.000")
+    assert "position not known: home" in printed("status", rig)
+    assert "is not known" in printed("jog", rig, "--by", "1", ok=False)
+    assert "pose by the nominal model 0.000" in printed("home", rig).replace("-0.000", "0.000")
     lengths = [
-        float(x)
-        for x in re.search(r"lengths (.*) mm", printed(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()
+        float(x) for x in re.search(r"lengths (.*) mm", printed("jog", rig, "--strut", "3", "--by", "1.5"))[1].split()
     ]
     assert lengths[2] - lengths[0] == pytest.approx(1.5, abs=2e-3)
     assert len(emulated.commanded_goals()) == 1
     wanted = "0.01,0.02,0.44,0.01,0.03,0.05"
-    planned = printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run")
+    planned = printed("go", path, "--rig", rig, "--pose", wanted, "--dry-run")
     assert len(emulated.commanded_goals()) == 1, "a dry run moves nothing"
-    foretold = json.loads(printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--json"))
+    foretold = json.loads(printed("go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--json"))
     assert not foretold["moved"] and "lengths" not in foretold and len(emulated.commanded_goals()) == 1
-    assert printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--quiet") == ""
-    done = printed(capsys, "go", path, "--rig", rig, "--pose", wanted)
+    assert printed("go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--quiet") == ""
+    done = printed("go", path, "--rig", rig, "--pose", wanted)
     assert planned.splitlines()[0] in done
     match = re.search(r"within (\S+) um .*the struts read (\S+) um .*uncertain by (\S+) um", done)
     assert float(match[1]) == pytest.approx(np.hypot(float(match[2]), float(match[3])), rel=0.05)
     assert float(match[3]) > 1.0, "parameters of 1 um each leave more than the struts' read-back does"
     np.testing.assert_allclose(emulated.commanded_goals()[-1], foretold["commanded"], atol=1e-6)
-    result = json.loads(printed(capsys, "go", path, "--rig", rig, "--pose", wanted, "--json"))
+    result = json.loads(printed("go", path, "--rig", rig, "--pose", wanted, "--json"))
     np.testing.assert_allclose(result["lengths"], result["commanded"], atol=1e-6)
     assert result["within"][0] >= 2 * result["uncertainty"][0] > 2e-6
     assert result["moved"] and np.linalg.norm(result["left"][:3]) < 1e-5
@@ -100,11 +99,11 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     np.testing.assert_allclose(
         pose_to_vector(T), [float(x) for x in wanted.split(",")], atol=3e-6
     )  # micrometres are what the controller takes
-    assert "idle" in printed(capsys, "stop", rig)
+    assert "idle" in printed("stop", rig)
 
 
-def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, calibration, capsys, tmp_path):
-    printed(capsys, "home", rig)
+def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, calibration, tmp_path):
+    printed("home", rig)
     before = len(emulated.commanded_goals())
     for words, why in (
         (("jog", rig, "--by", "500"), "beyond what the struts reach"),
@@ -142,18 +141,16 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
             r"\[sensors\] table",
         ),
     ):
-        assert re.search(why, printed(capsys, *words, ok=False)), words
+        assert re.search(why, printed(*words, ok=False)), words
     assert len(emulated.commanded_goals()) == before
 
 
-def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig, capsys, tmp_path):
+def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig, tmp_path):
     text = Path(rig).read_text()
     assert 'protocol = "grblhal"' in text
     (tmp_path / "rig.toml").write_text(text.replace('protocol = "grblhal"', 'protocol = "gcs"\ntimeout = 0.05'))
-    assert "protocol and baudrate in [controller] its own" in printed(
-        capsys, "status", str(tmp_path / "rig.toml"), ok=False
-    )
-    message = printed(capsys, "status", rig, "--port", "/dev/nowhere", ok=False)
+    assert "protocol and baudrate in [controller] its own" in printed("status", str(tmp_path / "rig.toml"), ok=False)
+    message = printed("status", rig, "--port", "/dev/nowhere", ok=False)
     assert re.fullmatch(
         r"rig status: cannot open /dev/nowhere: No such file or directory; serial ports here: .* \(`rig "
         r"doctor` lists them\)\n",
@@ -161,28 +158,13 @@ def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig
     )
 
 
-def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, capsys, tmp_path):
+def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, tmp_path):
     out = str(tmp_path / "rec")
-    text = printed(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
+    text = printed("run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
     assert "7 steps, 3 frames of 1 cameras" in text and "nothing was moved" in text and not (tmp_path / "rec").exists()
-    printed(
-        capsys,
-        "run",
-        rig,
-        "--plan",
-        "sobol:3",
-        "--out",
-        out,
-        "--settle",
-        "time:0",
-        "--exposure",
-        "keep",
-        "--no-measure",
-    )
-    assert "already exists; --resume continues" in printed(
-        capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False
-    )
-    assert "another plan" in printed(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
+    printed("run", rig, "--plan", "sobol:3", "--out", out, "--settle", "time:0", "--exposure", "keep", "--no-measure")
+    assert "already exists; --resume continues" in printed("run", rig, "--plan", "sobol:3", "--out", out, ok=False)
+    assert "another plan" in printed("run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
     rows = [json.loads(line) for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows].count("exposed") == 3
 
@@ -203,8 +185,8 @@ while True:
 """
 
 
-def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, capsys, tmp_path):
-    printed(capsys, "home", rig)
+def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, tmp_path):
+    printed("home", rig)
     log = tmp_path / "log"
     process = runner(
         [
@@ -240,8 +222,8 @@ def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, caps
 
 
 @pytest.mark.slow
-def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tmp_path, monkeypatch):
-    printed(capsys, "home", rig)
+def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, tmp_path, monkeypatch):
+    printed("home", rig)
     before, log = len(emulated.commanded_goals()), tmp_path / "log"
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
@@ -259,17 +241,17 @@ def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tm
     assert process.exitcode == 128 + signal.SIGTERM
 
 
-def test_one_process_drives(rig, capsys):
+def test_one_process_drives(rig):
     port = design_from_rig_toml.load_design(rig).controller.port
     with ControllerLock(port):
-        assert re.search(r"process \d+ is driving", printed(capsys, "status", rig, ok=False))
+        assert re.search(r"process \d+ is driving", printed("status", rig, ok=False))
         with pytest.raises(RigError, match="is driving"):
             ControllerLock(port)
     assert stop_lock_holder(port, SystemClock(), 0.05) is None
 
 
-def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, capsys, tmp_path):
-    home, log = float(re.search(r"lengths (\S+)", printed(capsys, "home", rig))[1]), tmp_path / "log"
+def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, tmp_path):
+    home, log = float(re.search(r"lengths (\S+)", printed("home", rig))[1]), tmp_path / "log"
     before, usual = (
         len(emulated.commanded_goals()),
         signal.signal(signal.SIGINT, signal.SIG_IGN),
@@ -280,12 +262,12 @@ def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, capsys, 
         signal.signal(signal.SIGINT, usual)
     while process.is_alive() and len(emulated.commanded_goals()) == before:
         process.join(0.001)
-    assert f"process {process.pid}, which drove them, was stopped" in printed(capsys, "stop", rig)
+    assert f"process {process.pid}, which drove them, was stopped" in printed("stop", rig)
     process.join(10)
     assert process.exitcode == 128 + signal.SIGTERM and "ended by signal" in log.read_text()
-    stood = printed(capsys, "status", rig)
+    stood = printed("status", rig)
     assert home - 0.01 < float(re.search(r"lengths (\S+)", stood)[1]) < home + 29 and "idle" in stood
-    assert printed(capsys, "status", rig) == stood
+    assert printed("status", rig) == stood
 
 
 def test_a_process_that_does_not_let_go_is_killed():
