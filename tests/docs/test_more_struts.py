@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from tests.cli import run
 from tests.conftest import ROOT
 from tests.docs.document_commands import commands, words
@@ -10,6 +12,7 @@ PAGE = ROOT / "docs" / "more-struts.md"
 FIGURES = re.compile(r"give way by ([0-9.]+) µm RMS as the nominal model commands and by ([0-9.]+) µm corrected")
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0.01,0.02,0.45,0,0,0\n1,-0.02,0,0.46,0,0.02,0.05\n")

@@ -2,6 +2,8 @@
 
 import shutil
 
+import pytest
+
 from tests.cli import run
 from tests.conftest import ROOT
 
@@ -12,6 +14,7 @@ def test_the_page_shows_the_example():
     assert f"```python\n{(EXAMPLES / 'delta.py').read_text()}```" in PAGE.read_text()
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     for end in ("py", "toml"):
         shutil.copy(EXAMPLES / f"delta.{end}", tmp_path)

@@ -199,6 +199,7 @@ def test_the_site_builds_with_no_broken_link_and_loads_nothing_from_elsewhere(si
     )
 
 
+@pytest.mark.slow
 def test_formulae_are_drawn_by_the_browser_itself(site):
     text = (site / "mathematics.html").read_text(encoding="utf-8")
     assert text.count("<math") > 50 and "arithmatex" not in text and '<span class="number">(12)</span>' in text

@@ -52,12 +52,10 @@ def assert_same(trees):
                     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "kind"),
-    [
-        pytest.param("clock_drift:clock:rate=4e-4", "clock_drift", marks=pytest.mark.slow),
-        ("missed_steps:strut2:jump=1.2e-4,time=150", "missed_steps"),
-    ],
+    [("clock_drift:clock:rate=4e-4", "clock_drift"), ("missed_steps:strut2:jump=1.2e-4,time=150", "missed_steps")],
 )
 def test_a_verdict_does_not_depend_on_the_origin(tmp_path, design, text, kind):
     recorded(tmp_path / "rec", design, [text], route="moving:8,sobol:36,moving:8")

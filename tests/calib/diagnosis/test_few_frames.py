@@ -112,9 +112,8 @@ def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
     assert late.sum() == 7
 
 
-@pytest.mark.parametrize(
-    "time", [24, pytest.param(130, marks=pytest.mark.slow)], ids=["after few frames", "before few frames"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("time", [24, 130], ids=["after few frames", "before few frames"])
 def test_a_knock_that_few_frames_see_is_named(tmp_path, design, time):
     found = diagnosis_of(
         recorded(tmp_path, design, [f"camera_bump:cam1:{KNOCK},time={time}"], route="sobol:30", noise=0.01),

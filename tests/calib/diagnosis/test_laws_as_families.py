@@ -50,7 +50,8 @@ def test_struts_that_give_alike_are_one_finding_of_the_rig_and_not_six(tmp_path,
     assert sites(found) == [("compliance", "rig")] and not found.left
 
 
-@pytest.mark.parametrize("effect", ["scale_error", pytest.param("axis_coupling", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["scale_error", "axis_coupling"])
 def test_a_scale_that_grows_along_the_travel_keeps_its_name(tmp_path, effect):
     case = hexapod(effect, 4, 1)
     assert case.laws[0].bow
@@ -62,7 +63,8 @@ def test_a_scale_that_grows_along_the_travel_keeps_its_name(tmp_path, effect):
     assert low - 0.05 <= law.bow * half / law.share <= high + 0.05  # half of the real travel, and not of the stated
 
 
-@pytest.mark.parametrize("waves", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("waves", [0, 1])
 def test_a_profile_is_no_scale_that_grows(tmp_path, waves):
     case = hexapod("transmission_error", 6, waves)
     found = diagnosed(tmp_path, case, laws=at_strut_3(case))
@@ -76,11 +78,12 @@ def test_steps_that_all_struts_miss_at_once_are_missed_steps_of_the_rig(tmp_path
     assert sites(found) == [("missed_steps", "rig")] and not found.left
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect, sites",
     [
         ("time_offset", {("time_offset", "clock"), ("servo_lag", "rig")}),  # a clock and a lag of all are alike there
-        pytest.param("servo_lag", {("servo_lag", "strut 2")}, marks=pytest.mark.slow),
+        ("servo_lag", {("servo_lag", "strut 2")}),
     ],
 )
 def test_a_late_clock_shows_at_exposures_just_after_arrival_and_is_no_creep(tmp_path, effect, sites):

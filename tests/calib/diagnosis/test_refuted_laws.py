@@ -48,15 +48,15 @@ def seen(tmp_path_factory, rig_text):
     return diagnosed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect, depends, looked_at",
     [
-        pytest.param(  # nearly a warm-up, by which struts would become shorter
+        (
             unlisted_effects_and_corner_noise.SlippingClutch("strut 2", 1.5e-5),
             "way travelled",
             "own way",
-            marks=pytest.mark.slow,
-        ),
+        ),  # nearly a warm-up, by which struts would become shorter
         (
             unlisted_effects_and_corner_noise.Crosstalk("strut 6", 3, -6e-4, 0.05),
             "strut 3's position",

@@ -51,6 +51,7 @@ def test_what_is_assumed_stays_and_is_said_to_be_so(quiet):
     )
 
 
+@pytest.mark.slow
 def test_what_was_seen_before_has_to_stand(loose):
     report = diagnosis_report(diagnosis_of(loose, ["backlash"], given=StatedTerms((), (STRUT_4, STRUT_2))))
     assert places(report) == [(*STRUT_2, "seen before")]

@@ -80,8 +80,9 @@ def shaken_case(seed: int) -> Case:
     return replace(case, seen=rows_of(displaced(stood(case.machine, case.journey, case.day, case.laws), noise)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(  # at times that mirror a drift a little there; beyond 50 Hz
-    "seed", [2, pytest.param(3, marks=pytest.mark.slow)]
+    "seed", [2, 3]
 )
 def test_two_frequencies_are_two_findings_and_nothing_else(tmp_path, seed):
     case = shaken_case(seed)

@@ -172,6 +172,7 @@ def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
     assert report.unexplained is not None and diagnosis_verdict(report).state is State.CHECK
 
 
+@pytest.mark.slow
 def test_an_arms_wild_poses_are_left_out(tmp_path):
     rng = np.random.default_rng(2)
     true = secret_arms.secret(UR10, rng)

@@ -121,7 +121,11 @@ def campaign(emulated, folder, count, rng):
     return hit
 
 
-@pytest.mark.parametrize("emulated", PROTOCOLS, indirect=True)
+@pytest.mark.parametrize(
+    "emulated",
+    [pytest.param(p, marks=[pytest.mark.slow] * (p not in ("grblhal", "gcs-hexapod"))) for p in PROTOCOLS],
+    indirect=True,
+)
 def test_a_killed_run_is_resumed(emulated, tmp_path):
     assert campaign(emulated, tmp_path, 2, np.random.default_rng(11)) == 2
 

@@ -37,7 +37,8 @@ def squares(made: Handmade, m: Measurement) -> np.ndarray:
     return np.array(out)
 
 
-@pytest.mark.parametrize("far", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("far", [1.0, 2.0])
 def test_a_handmade_body_is_measured(far):
     made = handmade(1, far=far)
     m = measured(made)
