@@ -27,6 +27,7 @@ from rig.array_and_json_types import Booleans, Floats
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
 NOTHING = 1e-3  # of what a scan found, a size that columns have beside others and that is none
+MOST_OF_SCATTER = 1 - 1e-6  # of it, that an effect explains: the rest is rounding
 SEVERAL = 3  # axes that show a name, from which it is asked whether all together explain more than any other
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
 
@@ -68,6 +69,14 @@ class Score(Generic[C]):
         by.
         """
         return self.delta_chi2 * self.dispersion - self.complexity(size)
+
+    def likelihood_ratio(self, frames: int | None) -> float:
+        """Twice the logarithm of the likelihood ratio against nothing that a fit would show. frames : of an axis, whose
+        scatter a scan takes from residuals that still contain the effect, so that delta chi-square stays below their
+        number however large the effect; None where the scatter is not an axis' own
+        """
+        explained = self.delta_chi2 * self.dispersion
+        return explained if frames is None else float(-frames * np.log1p(-min(explained / frames, MOST_OF_SCATTER)))
 
     def complexity(self, size: int) -> float:
         """What its parameters cost it against other hypotheses, as minus twice a logarithm, for residuals of a size.

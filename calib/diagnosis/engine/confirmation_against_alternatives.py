@@ -331,13 +331,14 @@ def _likelier_member(
     others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in excluded)]
     if not others:
         return None
+    frames = problem.linear(model).frames if policy.hidden > 0 else None
     reach = 1.0
     if not term.extra:  # linear, so that a scan errs only in that it takes for scatter what is not admitted
         fitted = problem.likelihood_ratio(problem.remove_term(fit, number), fit)
-        reach = max(fitted / (scanned.delta_chi2 * scanned.dispersion), 1.0)
+        reach = max(fitted / scanned.likelihood_ratio(frames), 1.0)
 
     def evidence(score: Score[C]) -> float:
-        return reach * score.delta_chi2 * score.dispersion - score.complexity(size)
+        return reach * score.likelihood_ratio(frames) - score.complexity(size)
 
     for score in sorted(others, key=evidence, reverse=True)[: policy.refitted]:
         if evidence(score) < evidence(scanned) - policy.alike:

@@ -97,6 +97,14 @@ def test_a_lag_of_all_struts_of_which_two_lag_less_is_named_strut_by_strut(tmp_p
 
 
 @pytest.mark.slow
+def test_profiles_with_kinks_are_drawn_as_finely_as_they_pay_and_leave_nothing_unknown(tmp_path):
+    """Their own scatter had kept a scan from telling nine knots from five."""
+    result, effects, hidden = diagnosed(95013, 2, tmp_path)
+    assert not result.left
+    require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
 def test_clearances_of_all_joints_that_are_weak_at_each_strut_are_named_beside_springs_of_all(tmp_path):
     """Each moves a few frames alone, and what the other struts' do counts as scatter there."""
     result, effects, hidden = diagnosed(95020, 2, tmp_path)
