@@ -4,6 +4,7 @@ A profile that repeats with an axis' own position.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import ClassVar, Self
 
 import numpy as np
@@ -128,6 +129,21 @@ def cubic_spline_values(q: Floats, span: tuple[float, ...] | Floats, values: Flo
     Natural splines through values (knots, ...) at even knots over a span.
     """
     low, high = span
-    return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(
-        np.clip(q, low, high)
-    )
+    last = len(values) - 1
+    u = (np.clip(q, low, high) - low) * (last / (high - low))
+    i = np.minimum(u.astype(int), last - 1)
+    after = (u - i).reshape(-1, *(1,) * (values.ndim - 1))
+    before, bends = 1 - after, natural_spline_curvatures(len(values)) @ values
+    straight = before * values[i] + after * values[i + 1]
+    curved: Floats = straight + ((before**3 - before) * bends[i] + (after**3 - after) * bends[i + 1]) / 6
+    return curved
+
+
+@cache
+def natural_spline_curvatures(knots: int) -> Floats:
+    """Matrix (knots, knots) that makes second derivatives, at the knots of a natural cubic spline one apart, of its
+    values there.
+    """
+    at = np.arange(knots)
+    curvatures: Floats = scipy.interpolate.CubicSpline(at, np.eye(knots), bc_type="natural")(at, 2)
+    return curvatures
