@@ -31,7 +31,7 @@ from calib.diagnosis.engine.problem_interface import (
 from calib.diagnosis.engine.whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
 from rig.model.hands_effect_places_and_tolerances import Place
 
-TAKEN = 0.5  # of a smooth function's delta chi-square, which it keeps at most beside a name that stands for the same
+TAKEN = 0.5  # of a smooth function's mean square, which it keeps at most beside a name that stands for the same
 LISTED = 3  # terms that the label of a search names
 RESTARTS = 2  # times the most terms that there may be, replacements after which terms are confirmed as they stand
 
@@ -297,8 +297,10 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
     if not likelier:
         return False
     after = _smooth_functions(problem, problem.residual(fit), place)
-    left = {(u.place, u.depends_on, u.freedom): u.delta_chi2 for u in after}
-    likelier = [u for u in likelier if left.get((u.place, u.depends_on, u.freedom), 0.0) < TAKEN * u.delta_chi2]
+    left = {
+        (u.place, u.depends_on, u.freedom): u.magnitude for u in after
+    }  # their chance is judged by what scatters now
+    likelier = [u for u in likelier if left.get((u.place, u.depends_on, u.freedom), 0.0) ** 2 < TAKEN * u.magnitude**2]
     far_from_usual = any(score.complexity(size) > u.shortest(size)[1] + alike for u in likelier)
     return far_from_usual or bool(likelier and after)
 

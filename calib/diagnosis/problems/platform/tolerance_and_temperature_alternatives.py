@@ -59,6 +59,7 @@ WARM = tuple(
 STEP = 1e-5  # 1/K
 SIZES = 200  # of a coefficient that are tried, over DECADES about what rigs show
 DECADES = 1.0  # beyond
+TAKEN = 0.5  # of what a finding explains, that temperatures must explain to be its alternative
 
 
 def add_temperature_effects_as_alternatives_of_findings(
@@ -106,20 +107,12 @@ def _with_temperature_alternatives(
     own = finding.score.delta_chi2 * finding.score.dispersion
     for kind, place in requested:
         warm = problem.marginalised(model.marginalise(_courses(model, kind, place)))
-        if is_finding_significant(problem, finding, warm, selection.fit, selection.candidate_count):
-            continue
         delta = alone.linear.cost() - warm.linear.cost()
-        score = Score(
-            platform_candidate(EffectCandidate(kind, place, [{}], [])),
-            {},
-            np.zeros(0),
-            delta,
-            1.0,
-            SLOW,
-            1.0,
-            1.0,
-            np.zeros(1),
-        )
+        significant = is_finding_significant(problem, finding, warm, selection.fit, selection.candidate_count)
+        if significant or delta < TAKEN * own:
+            continue
+        candidate = platform_candidate(EffectCandidate(kind, place, [{}], []))
+        score = Score(candidate, {}, np.zeros(0), delta, 1.0, SLOW, 1.0, 1.0, np.zeros(1))
         behind = own - delta - (finding.score.freedom - SLOW) * np.log(model.size)
         alternatives.append(Alternative(score, behind, float(np.sqrt(np.clip(delta / own, 0, 1)))))
     return replace(finding, alternatives=alternatives)
