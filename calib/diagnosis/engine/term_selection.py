@@ -165,6 +165,7 @@ def _steps(
     keys: HypothesisKeys = set()
     merged: Merges = set()
     weak: set[str] = set()
+    visited: set[frozenset[tuple[int, int]]] = {frozenset(Counter(map(id, problem.terms(fit))).items())}
     refused: list[C] = list(excluded)
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
@@ -200,6 +201,10 @@ def _steps(
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
         fit = one_hypothesis_of_alike_axes(problem, fit, keys, merged)
+        reached = frozenset(Counter(map(id, problem.terms(fit))).items())
+        if reached in visited:  # as it would be where other terms at its place stay
+            refused += [promising[0].candidate, score.candidate]
+        visited.add(reached)
     return None if _tolerances_explain(problem, fit, None) else fit
 
 

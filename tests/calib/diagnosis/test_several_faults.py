@@ -105,6 +105,12 @@ def test_profiles_with_kinks_are_drawn_as_finely_as_they_pay_and_leave_nothing_u
 
 
 @pytest.mark.slow
+def test_a_step_that_other_steps_at_its_place_make_needless_is_not_admitted_for_ever(tmp_path):
+    _, effects, hidden = diagnosed(97024, 2, tmp_path)
+    require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
 def test_clearances_of_all_joints_that_are_weak_at_each_strut_are_named_beside_springs_of_all(tmp_path):
     """Each moves a few frames alone, and what the other struts' do counts as scatter there."""
     result, effects, hidden = diagnosed(95020, 2, tmp_path)
