@@ -179,19 +179,22 @@ def _steps(
         )
         if _tolerances_explain(problem, fit, promising[0] if promising else None):
             return None
-        if not promising:
+        alike: list[Score[C]] = []
+        step = None
+        if promising:
+            alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
+            if admitted and _smooth_beyond(problem, model, [promising[0]], alike):
+                break
+            promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
+            step = _step(problem, fit, promising, scores, refused)
+        if step is None:
             together = with_effect_weak_at_each_axis(problem, fit, scores, weak)
-            if together is None:
+            if together is None and not promising:
                 return fit
+            if together is None:
+                break
             fit = remove_redundant_terms(problem, _refined(problem, together))
             continue
-        alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
-        if admitted and _smooth_beyond(problem, model, [promising[0]], alike):
-            break
-        promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
-        step = _step(problem, fit, promising, scores, refused)
-        if step is None:
-            break
         fit, score = step
         keys.add(_hypothesis_key(score))
         fit = _same_name_elsewhere(problem, fit, score, alike, keys)

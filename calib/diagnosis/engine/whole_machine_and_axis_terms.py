@@ -106,7 +106,16 @@ def with_effect_weak_at_each_axis(
         best = best_score(problem, new, own, size)
         if best is not None and best.delta_bic(size) > 0 and len(problem.terms(new)) < problem.policy.most:
             new = problem.add_term(new, best)
-    return new if len(problem.terms(new)) - terms >= SEVERAL else None
+    numbers = list(range(terms, len(problem.terms(new))))
+    return new if len(numbers) >= SEVERAL and _predict_held_out(problem, new, numbers) else None
+
+
+def _predict_held_out(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[int]) -> bool:
+    """Whether terms together predict stretches held out, by what the policy asks of one (Stouffer's sum of gains)."""
+    least = problem.policy.forward_gain
+    if least is None:
+        return True
+    return sum(v.gain for v in problem.cross_validations(fit, numbers)) > least * np.sqrt(len(numbers))
 
 
 def _surest_at_axes(scores: list[Score[C]], name: str) -> dict[str, float]:
