@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from calib.api.investigate import investigate as investigate
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
     from calib.api.loop_closure_check_of_redundant_legs import close_loops as close_loops
-    from calib.api.machine_run import RunOptions as RunOptions
-    from calib.api.machine_run import plan_run as plan_run
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import accept_limbs as accept_limbs
-    from calib.api.online_parameter_learning import LearnOptions as LearnOptions
-    from calib.api.online_parameter_learning import learn as learn
+    from calib.api.parameter_learning_pose_by_pose_from_recording import LearnOptions as LearnOptions
+    from calib.api.parameter_learning_pose_by_pose_from_recording import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
+    from calib.api.plan_run_at_machine import RunOptions as RunOptions
+    from calib.api.plan_run_at_machine import plan_run as plan_run
     from calib.api.recording_check_combination_and_view import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
@@ -91,13 +91,13 @@ __getattr__ = lazy_getattr(
         "verify": "calib.api.verify_and_watch",
         "watch": "calib.api.verify_and_watch",
         "certify": "calib.api.certify",
-        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.online_parameter_learning"),
+        **dict.fromkeys(("learn", "LearnOptions"), "calib.api.parameter_learning_pose_by_pose_from_recording"),
         **dict.fromkeys(
             ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_poses_from_readings"
         ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closure_check_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export_to_other_programs"),
-        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.machine_run"),
+        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.plan_run_at_machine"),
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_plan_execution",

@@ -284,23 +284,25 @@ STEPS = (
 )
 
 
-def draw_assembly_page(axes: Axes, design: Design, paper: tuple[float, float], count: int) -> None:
+def draw_cube_assembly_page(plot_axes: Axes, design: Design, paper: tuple[float, float], count: int) -> None:
     """Draw the assembly page of a design's cubes.
 
     paper : (width, height) mm; count : sheets before it
     """
     width, top = paper[0] - 2 * MARGIN, paper[1] - MARGIN
-    axes.text(MARGIN, top, f"{design.name}: {len(design.targets)} targets on {count} sheets", fontsize=12, va="top")
+    plot_axes.text(
+        MARGIN, top, f"{design.name}: {len(design.targets)} targets on {count} sheets", fontsize=12, va="top"
+    )
     y = top - 9
     for step in STEPS:
         lines = textwrap.wrap(step, int(width / 1.52))
-        axes.text(MARGIN, y, "\n".join(lines), fontsize=7.5, va="top", linespacing=1.3)
+        plot_axes.text(MARGIN, y, "\n".join(lines), fontsize=7.5, va="top", linespacing=1.3)
         y -= 3.6 * len(lines) + 2
     bodies = [body for body in BODIES if any(target.body == body for target in design.targets)]
     bodies += sorted({target.body for target in design.targets} - set(BODIES))
     high = (y - MARGIN) / len(bodies)
     for k, body in enumerate(bodies):
-        _body(axes, design, body, (MARGIN, y - (k + 1) * high, width, high - 4))
+        _body(plot_axes, design, body, (MARGIN, y - (k + 1) * high, width, high - 4))
 
 
 def _body(axes: Axes, design: Design, body: str, frame: tuple[float, float, float, float]) -> None:

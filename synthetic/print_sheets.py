@@ -32,7 +32,7 @@ from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     arrange_net,
     cube_stl_files,
     cut_line_plot_arguments,
-    draw_assembly_page,
+    draw_cube_assembly_page,
     draw_rulers_and_legend,
     fold_line_matplotlib_style,
     usable_area,
@@ -110,7 +110,7 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> PrintSh
             draw_sheet(axes, page)
             pdf.savefig(figure)
         figure, axes = blank_sheet(PAPER[paper])
-        draw_assembly_page(axes, design, PAPER[paper], len(pages))
+        draw_cube_assembly_page(axes, design, PAPER[paper], len(pages))
         pdf.savefig(figure)
     write_bytes(path, buffer.getvalue())
     ways = [f"{page.label}: {paper} {'landscape' if page.paper[0] > page.paper[1] else 'portrait'}" for page in pages]

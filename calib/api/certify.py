@@ -18,7 +18,7 @@ from calib.certificate.certificate_computation_verdict_and_provenance import (
 )
 from calib.certificate.certificate_contents import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
-from calib.certificate.pointing_certificate import PointingCertificate, pointing_certificate
+from calib.certificate.mount_pointing_certificate import PointingCertificate, mount_pointing_certificate
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
@@ -149,7 +149,7 @@ def certify(
     source = provenance or certificate_provenance(None, calibration, every, (), SEED)
     found: Certificate | PointingCertificate
     if all(sampled.samples.measured == "direction" for _, sampled in held):
-        found = pointing_certificate(calibration, held, options, source)
+        found = mount_pointing_certificate(calibration, held, options, source)
     else:
         found = calibration_certificate(calibration, held, options, source, np.random.default_rng(SEED))
     known, claims = _against_claim(calibration, held, refutations)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.online_parameter_learning import LearningResult, learn_from_samples
+from calib.api.parameter_learning_pose_by_pose_from_recording import LearningResult, learn_from_samples
 from calib.api.recording_check_combination_and_view import refuse_unfit_recording
 from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration

@@ -25,7 +25,7 @@ from calib.models.geometry_and_placement_fit_of_several_recordings import remove
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from calib.report.recording_and_plan_pages import write_recording_page
-from calib.samples.platform_poses_with_alignment_and_tilts import (
+from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors import (
     are_base_and_tool_frames_unknown,
     recording_in_machine_frames,
 )
@@ -59,7 +59,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import (
     recorded_or_sampled_corners,
     refuse_mistakes,
     refuse_mistakes_in_files_and_images,
-    uneven_cube_layout_remarks,
+    unevenly_placed_cubes_remarks,
 )
 from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable
 
@@ -326,7 +326,7 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
     if corners is not None:
         with threadpool_limits(1):  # threads in products as small as these make it some ten times as long
             found += find_corner_mistakes(recording, corners, thorough=True)
-    return CheckResult(sort_mistakes(found), uneven_cube_layout_remarks(recording.design))
+    return CheckResult(sort_mistakes(found), unevenly_placed_cubes_remarks(recording.design))
 
 
 @dataclass(frozen=True, slots=True)

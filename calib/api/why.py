@@ -14,7 +14,7 @@ import numpy as np
 from calib.api.calibrate import CalibrateOptions, CalibrationResult, calibrate
 from calib.api.diagnose import DiagnoseOptions, DiagnosisResult, diagnose
 from calib.api.next_experiment import NextExperiment
-from calib.api.why_options_and_data_import import WhyOptions, recording_of_data, require_data
+from calib.api.why_options_and_data_import import WhyOptions, recording_and_whether_noise_is_assumed, require_data
 from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
@@ -273,7 +273,7 @@ def why(
     require_data(data)
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
         results = Path(scratch) if folder is None else folder
-        recording, assumed = recording_of_data(data, options, results, notice)
+        recording, assumed = recording_and_whether_noise_is_assumed(data, options, results, notice)
         require_one_hand(recording.design.mechanism, "rig why answers")
         _require_commands(recording, data)
         diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)

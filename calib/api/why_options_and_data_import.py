@@ -174,7 +174,9 @@ class WhyOptions:
                 raise RigError(f"--{name.replace('_', '-')} belongs to --urdf or --dh; rig.toml has [instrument]")
 
 
-def recording_of_data(data: Path, options: WhyOptions, folder: Path, notice: Notice) -> tuple[Recording, bool]:
+def recording_and_whether_noise_is_assumed(
+    data: Path, options: WhyOptions, folder: Path, notice: Notice
+) -> tuple[Recording, bool]:
     """Recording of data, and whether its poses' noise is assumed.
 
     It is loaded as it is, or imported to a folder.

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.exposure_conditions import Conditions, conditions_of_exposures
-from calib.samples.platform_poses_with_alignment_and_tilts import (
+from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors import (
     UNSTATED,
     has_translation_only_platform,
     pose_covariance,

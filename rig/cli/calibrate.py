@@ -37,7 +37,7 @@ from rig.formats.numbers_and_units import parse_number
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions
     from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
-    from calib.api.online_parameter_learning import LearningResult, LearnOptions
+    from calib.api.parameter_learning_pose_by_pose_from_recording import LearningResult, LearnOptions
     from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
     from rig.array_and_json_types import Floats
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
@@ -292,7 +292,7 @@ def run_online(arguments: Namespace) -> None:
     progress("reading the recording", 0, 1)
     limbs = limb_source(arguments)
     recording = read_recording(arguments)
-    from calib.api.online_parameter_learning import learn
+    from calib.api.parameter_learning_pose_by_pose_from_recording import learn
 
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page, options = page_path(arguments), _learn_options(arguments, limbs)
@@ -319,7 +319,7 @@ def _print_learnt(arguments: Namespace, result: LearningResult) -> None:
 
 def _learn_options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptions:
     """How poses are learnt, by the arguments."""
-    from calib.api.online_parameter_learning import LearnOptions
+    from calib.api.parameter_learning_pose_by_pose_from_recording import LearnOptions
     from calib.files import calibration_file
 
     _refuse_other_learners_settings(arguments)

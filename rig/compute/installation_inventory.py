@@ -47,7 +47,7 @@ def installation_inventory() -> list[InventoryItem]:
         InventoryItem("system", "ok", system),
         *installed_packages(),
         check_opengl(),
-        list_cameras(),
+        list_video_devices(),
         list_genicam_producers(),
         list_serial_ports_and_access_rights(),
         *working_and_temporary_folder_free_space(),
@@ -117,12 +117,12 @@ def check_opengl() -> InventoryItem:
     )
 
 
-def list_cameras(folder: Path = Path("/sys/class/video4linux")) -> InventoryItem:
+def list_video_devices(device_folder: Path = Path("/sys/class/video4linux")) -> InventoryItem:
     """List the cameras (video devices) by name.
 
     None is opened.
     """
-    entries = sorted(folder.iterdir()) if folder.is_dir() else []
+    entries = sorted(device_folder.iterdir()) if device_folder.is_dir() else []
     names = [f"/dev/{one.name} ({(one / 'name').read_text().strip()})" for one in entries]
     return InventoryItem(
         "cameras",

@@ -18,7 +18,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
 )
 from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_optimal_configurations
-from calib.online.forgetting_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
+from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import sample_recording
 from rig.formats.exporters import geometry_and_camera_files

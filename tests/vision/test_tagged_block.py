@@ -24,7 +24,7 @@ from vision.checks.mistake_search_by_trial_corrections import (
     find_corner_mistakes,
     misplaced_or_exchanged_camera_sentences,
 )
-from vision.checks.recording_refusal_and_cube_layout_remarks import uneven_cube_layout_remarks
+from vision.checks.recording_refusal_and_cube_layout_remarks import unevenly_placed_cubes_remarks
 from vision.corner_observations import observations_from_corners
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import marker_map
@@ -191,7 +191,7 @@ def test_a_recording_that_states_no_places_is_checked(tmp_path):
     recording = load(recording_folder(block, tmp_path / "rec", block.corners))
     assert find_corner_mistakes(recording, recording.corners) == ()
     assert misplaced_or_exchanged_camera_sentences(recording, recording.corners) == []
-    assert uneven_cube_layout_remarks(recording.design) == ()
+    assert unevenly_placed_cubes_remarks(recording.design) == ()
     for frame, name in [(0, "a"), (1, "b")]:
         camera = recording.design.camera(name)
         (tmp_path / "rec" / name).mkdir()

@@ -96,7 +96,7 @@ RING = 72  # directions about a body's normal that are looked at
 BODIES = {"platform": "the platform", "base": "the base"}
 
 
-def uneven_cube_layout_remarks(design: Design) -> tuple[str, ...]:
+def unevenly_placed_cubes_remarks(design: Design) -> tuple[str, ...]:
     """Remarks on an uneven layout of a Design's cubes, by how many mm and degrees; none where all is even."""
     if not design.targets or not are_markers_placed(design):
         return ()

@@ -156,12 +156,18 @@ def _row(quad: Floats, pad: float, y: int, low: int, high: int) -> tuple[int, in
 
 @kernel
 def collect_edge_pixels(
-    crop: Floats, marker: Printed, quad: Floats, g: Floats, s: float, raster: Raster, pixels: EdgePixels
+    crop: Floats,
+    marker: Printed,
+    quad: Floats,
+    homography: Floats,
+    edge_width: float,
+    raster: Raster,
+    pixels: EdgePixels,
 ) -> int:
     """Collect the pixels near an edge into EdgePixels.
 
     crop : (rows, columns), 255ths of white, of marker.box; marker : Printed; quad : (4, 2) px, the corners
-    g : (3, 3) homography from local ideal coordinates to cells; s : px, width of the edges; raster : overwritten
+    homography : (3, 3) from local ideal coordinates to cells; edge_width : px; raster : overwritten
     Returns how many
     """
     cx, cy, scale = marker.centre
@@ -171,27 +177,27 @@ def collect_edge_pixels(
     for k in range(box[2] - box[0]):
         columns[k] = (box[0] + k - cx) / scale
     # cells to the pixel in the middle of the marker; perspective changes them with w, and w is followed
-    Xx, Xy = g[0, 0] - 0.5 * n * g[2, 0], g[0, 1] - 0.5 * n * g[2, 1]
-    Yx, Yy = g[1, 0] - 0.5 * n * g[2, 0], g[1, 1] - 0.5 * n * g[2, 1]
+    Xx, Xy = homography[0, 0] - 0.5 * n * homography[2, 0], homography[0, 1] - 0.5 * n * homography[2, 1]
+    Yx, Yy = homography[1, 0] - 0.5 * n * homography[2, 0], homography[1, 1] - 0.5 * n * homography[2, 1]
     reach_x = (
         REACH
-        * s
+        * edge_width
         * math.sqrt((Xx * lens[0, 1] + Xy * lens[1, 1]) ** 2 + (Xx * lens[0, 2] + Xy * lens[1, 2]) ** 2)
         / scale
     )
     reach_y = (
         REACH
-        * s
+        * edge_width
         * math.sqrt((Yx * lens[0, 1] + Yy * lens[1, 1]) ** 2 + (Yx * lens[0, 2] + Yy * lens[1, 2]) ** 2)
         / scale
     )
-    pad = REACH * s + 1 + 0.02 * scale  # a lens bends the sides
+    pad = REACH * edge_width + 1 + 0.02 * scale  # a lens bends the sides
     count = np.uintp(0)
     for v in range(box[1], box[3]):
         start, end = _row(quad, pad, v, box[0], box[2])
         if start >= end:
             continue
-        _look(rows, (start - box[0], end - box[0]), marker, (v - cy) / scale, g, (reach_x, reach_y))
+        _look(rows, (start - box[0], end - box[0]), marker, (v - cy) / scale, homography, (reach_x, reach_y))
         line, found = crop[v - box[1]], np.uintp(0)
         for k in range(np.uintp(start - box[0]), np.uintp(end - box[0])):
             retained[found] = k

@@ -196,7 +196,7 @@ def _best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> lis
     return sorted(best.values(), key=lambda s: -s.raw_delta_bic(size))
 
 
-def best_effect_at_several_axes(
+def scores_of_best_effect_at_several_axes(
     promising: list[Score[C]], scores: list[Score[C]], size: int, project: Callable[[list[Score[C]]], Projection]
 ) -> list[Score[C]]:
     """Scores of the effect that explains most at several axes together, the most convincing first; none where one

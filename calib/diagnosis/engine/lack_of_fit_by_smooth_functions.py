@@ -91,7 +91,7 @@ def test_lack_of_fit(
     if rank == 0:
         return None
     p, spread = scan_p_value(delta, rank, np.inf), 1.0
-    simpler = delta_chi2_by_column_count(normal) if test.prior is None and p <= alpha else ()
+    simpler = delta_chi2_and_rank_by_column_count(normal) if test.prior is None and p <= alpha else ()
     if p <= alpha:
         spread, freedom = residual_dispersion(model, products, test.weights, solved.coefficients[0], correlated_frames)
         p = scan_p_value(delta / spread, rank, freedom)
@@ -109,13 +109,13 @@ def test_lack_of_fit(
     )
 
 
-def delta_chi2_by_column_count(normal: Normal) -> tuple[tuple[float, int], ...]:
+def delta_chi2_and_rank_by_column_count(normal_equations: Normal) -> tuple[tuple[float, int], ...]:
     """Delta chi-square and rank by count of a candidate's columns.
 
     Of the first column alone, of the first two, and so on, by elimination.
     """
-    scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
-    b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
+    scale = np.sqrt(np.maximum(normal_equations.raw[0], 1e-300))
+    b, G = normal_equations.b[0] / scale, normal_equations.G[0] / scale[:, None] / scale
     delta, rank, out = 0.0, 0, []
     for j in range(len(b)):
         if G[j, j] > SWALLOWED:

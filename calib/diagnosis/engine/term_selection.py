@@ -13,10 +13,10 @@ import numpy as np
 from calib.diagnosis.engine.candidate_score import (
     Scans,
     Score,
-    best_effect_at_several_axes,
     is_significant,
     may_become_significant_when_fitted,
     score_raised_to_likelihood_ratio,
+    scores_of_best_effect_at_several_axes,
 )
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
 from calib.diagnosis.engine.confirmation_against_alternatives import (
@@ -41,9 +41,9 @@ from calib.diagnosis.engine.whole_machine_and_axis_terms import (
     Merges,
     admissible_candidates,
     best_score,
-    one_hypothesis_of_alike_axes,
-    terms_at_axes_apart,
-    with_effect_weak_at_each_axis,
+    fit_with_axis_terms_in_place_of_whole_machine_term,
+    fit_with_effect_weak_at_each_axis,
+    fit_with_whole_machine_term_in_place_of_axis_terms,
 )
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
@@ -84,7 +84,7 @@ def select_terms(
             break
         searched = problem.terms(more)
         fit, findings = confirm_terms(problem, more, scans, progress)
-    apart = terms_at_axes_apart(problem, fit)
+    apart = fit_with_axis_terms_in_place_of_whole_machine_term(problem, fit)
     if apart is not None:
         fit, findings = confirm_terms(problem, remove_redundant_terms(problem, apart), scans, progress)
     return Selection(problem, before, fit, findings, len(problem.candidates))
@@ -182,13 +182,15 @@ def _steps(
         alike: list[Score[C]] = []
         step = None
         if promising:
-            alike = best_effect_at_several_axes(promising, scores, model_size, _projection_of_scores(problem, model))
+            alike = scores_of_best_effect_at_several_axes(
+                promising, scores, model_size, _projection_of_scores(problem, model)
+            )
             if admitted and _smooth_beyond(problem, model, [promising[0]], alike):
                 break
             promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
             step = _step(problem, fit, promising, scores, refused)
         if step is None:
-            together = with_effect_weak_at_each_axis(problem, fit, scores, weak)
+            together = fit_with_effect_weak_at_each_axis(problem, fit, scores, weak)
             if together is None and not promising:
                 return fit
             if together is None:
@@ -203,7 +205,7 @@ def _steps(
         site = score.candidate.name, score.candidate.place
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
-        fit = one_hypothesis_of_alike_axes(problem, fit, keys, merged)
+        fit = fit_with_whole_machine_term_in_place_of_axis_terms(problem, fit, keys, merged)
         reached = frozenset(Counter(map(id, problem.terms(fit))).items())
         if reached in visited:  # as it would be where other terms at its place stay
             refused += [promising[0].candidate, score.candidate]

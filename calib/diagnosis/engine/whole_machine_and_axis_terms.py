@@ -25,7 +25,7 @@ def best_score(problem: Problem[Fit, Model, C], fit: Fit, candidates: list[C], s
     return max(scores, key=lambda s: s.evidence(size), default=None)
 
 
-def one_hypothesis_of_alike_axes(
+def fit_with_whole_machine_term_in_place_of_axis_terms(
     problem: Problem[Fit, Model, C], fit: Fit, keys: HypothesisKeys, merged: Merges
 ) -> Fit:
     """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
@@ -54,7 +54,7 @@ def one_hypothesis_of_alike_axes(
     return fit
 
 
-def terms_at_axes_apart(problem: Problem[Fit, Model, C], fit: Fit) -> Fit | None:
+def fit_with_axis_terms_in_place_of_whole_machine_term(problem: Problem[Fit, Model, C], fit: Fit) -> Fit | None:
     """The Fit with a name's terms at each axis in place of one about the whole machine, None where that serves none.
 
     It serves where an axis shows what no name explains, as one does that has less of it than the whole machine where it
@@ -84,7 +84,7 @@ def terms_at_axes_apart(problem: Problem[Fit, Model, C], fit: Fit) -> Fit | None
     return None
 
 
-def with_effect_weak_at_each_axis(
+def fit_with_effect_weak_at_each_axis(
     problem: Problem[Fit, Model, C], fit: Fit, scores: list[Score[C]], tried: set[str]
 ) -> Fit | None:
     """The Fit with a name at several axes that is too good for chance at all of them together, though at none alone.

@@ -5,7 +5,7 @@ import numpy as np
 from calib.api.calibrate import CalibrationResult
 from calib.api.correction_over_configuration_or_pose_space import ExtendedCorrection
 from calib.api.measuring_limb_acceptance_and_poses_from_readings import MeasuredLimbPoses
-from calib.api.online_parameter_learning import LearningResult
+from calib.api.parameter_learning_pose_by_pose_from_recording import LearningResult
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_lines
 from calib.certification.error_claim_over_workspace import Claim

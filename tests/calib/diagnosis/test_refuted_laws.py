@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, delta_chi2_by_column_count
+from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, delta_chi2_and_rank_by_column_count
 from calib.diagnosis.engine.reduced_least_squares import Normal, solve_normal_equations
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
@@ -99,7 +99,7 @@ def test_first_functions_count_by_themselves():
     columns[:, 3] = columns[:, 0] - 2 * columns[:, 2]  # which says nothing anew
     y = 3 * columns[:, 0] + rng.normal(size=200)
     G = columns.T @ columns
-    found = delta_chi2_by_column_count(Normal((columns.T @ y)[None], G[None], np.diag(G)[None]))
+    found = delta_chi2_and_rank_by_column_count(Normal((columns.T @ y)[None], G[None], np.diag(G)[None]))
     for q, (delta, rank) in enumerate(found, 1):
         alone = solve_normal_equations(Normal((columns.T @ y)[None, :q], G[None, :q, :q], np.diag(G)[None, :q]))
         assert delta == pytest.approx(float(alone.delta_chi2[0])) and rank == alone.rank[0] == min(q, 3)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
-from calib.online import forgetting_kalman_and_gradient_learners as learners
-from calib.online.forgetting_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
+from calib.online import forgetting_least_squares_kalman_and_gradient_learners as learners
+from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters

@@ -249,8 +249,8 @@ def test_doctor_names_cameras_without_opening_them(tmp_path):
     (tmp_path / "video0").mkdir()
     (tmp_path / "video0" / "name").write_text("HD cam\n")
     assert (
-        installation_inventory.list_cameras(tmp_path).text == "/dev/video0 (HD cam)"
-        and installation_inventory.list_cameras(tmp_path / "none").state == "absent"
+        installation_inventory.list_video_devices(tmp_path).text == "/dev/video0 (HD cam)"
+        and installation_inventory.list_video_devices(tmp_path / "none").state == "absent"
     )
 
 

@@ -20,7 +20,7 @@ from calib.drift import visit_history
 from calib.experiment import investigation_folder_and_report
 from calib.files import calibration_file
 from calib.online import accepted_limbs_file, filter_state
-from calib.online import forgetting_kalman_and_gradient_learners as learners
+from calib.online import forgetting_least_squares_kalman_and_gradient_learners as learners
 from rig.cli.command_line import main
 from rig.effects.texts.effect_file_from_formula import load_suggested_formula
 from rig.errors import FileError

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import calib
 from calib.api.why import _repeats
-from calib.api.why_options_and_data_import import recording_of_data
+from calib.api.why_options_and_data_import import recording_and_whether_noise_is_assumed
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
@@ -159,13 +159,13 @@ def test_a_recording_that_lacks_its_machine_is_read_with_the_one_that_is_stated(
     for name in ("commands.csv", "poses.csv", "frames.csv"):
         (bare / name).write_text((folder / "recording" / name).read_text())
     with pytest.raises(RigError, match="does not state the machine"):
-        recording_of_data(bare, calib.WhyOptions(), tmp_path, lines.append)
+        recording_and_whether_noise_is_assumed(bare, calib.WhyOptions(), tmp_path, lines.append)
     options = calib.WhyOptions(rig=folder / "recording" / "rig.toml")
-    found, assumed = recording_of_data(bare, options, tmp_path, lines.append)
+    found, assumed = recording_and_whether_noise_is_assumed(bare, options, tmp_path, lines.append)
     np.testing.assert_array_equal(found.design.mechanism.joints[:, 1], NOMINAL.joints[:, 1])
     assert len(found.poses.frame) == 60 and not assumed and not lines
     (tmp_path / "again").mkdir()
-    recording_of_data(folder / "recording", options, tmp_path / "again", lines.append)
+    recording_and_whether_noise_is_assumed(folder / "recording", options, tmp_path / "again", lines.append)
     assert lines == [f"{folder / 'recording' / 'rig.toml'} is not read: the machine is stated otherwise"]
 
 

@@ -231,7 +231,7 @@ def _figure_text(one: Figure) -> str:
     return f"{angle_text(one.rms)} RMS, {angle_text(one.greatest)} at most"
 
 
-def pointing_certificate(
+def mount_pointing_certificate(
     calibration: Calibration,
     held_out_recordings: Sequence[tuple[Recording, Sampled]],
     request: CertifyOptions,

@@ -12,7 +12,7 @@ from calib.api.recording_check_combination_and_view import refuse_unfit_recordin
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
 from calib.diagnosis.physics_left_out_of_calibration import unexplained_findings_and_refutations
-from calib.online.forgetting_kalman_and_gradient_learners import save_learner
+from calib.online.forgetting_least_squares_kalman_and_gradient_learners import save_learner
 from calib.online.hexapod_information_filter import Online
 from calib.online.learning_from_recording import (
     FILTER,
@@ -42,7 +42,7 @@ class LearnOptions:
     """state : file of a state to go on from, where it is there, or None; calibration : to start from, None for
     rig.toml; calibration_name : of its file, for messages; refutations : what later recordings found against it
     learner : "filter", which names what jumped, or one of
-        calib.online.forgetting_kalman_and_gradient_learners; setting : of such a one, None for its
+        calib.online.forgetting_least_squares_kalman_and_gradient_learners; setting : of such a one, None for its
     default
     limbs : measuring limbs as the source of poses, None for vision or poses.csv; anyway : whether to go on though a
     mistake makes results meaningless
