@@ -333,7 +333,7 @@ def _likelier_member(
     others = [s for s in _scores_of_other_members(problem, model, term) if not any(s.candidate is c for c in excluded)]
     if not others:
         return None
-    frames = problem.linear(model).frames if policy.hidden > 0 else None
+    frames = problem.linear(model).frames if policy.hidden > 0 and term.site.is_axis else None
     reach = 1.0
     if not term.extra:  # linear, so that a scan errs only in that it takes for scatter what is not admitted
         fitted = problem.likelihood_ratio(problem.remove_term(fit, number), fit)
