@@ -139,3 +139,11 @@ def test_what_a_finding_hid_that_was_none_is_searched_for_once_it_is_gone(tmp_pa
     result, effects, hidden = diagnosed(76000, 3, tmp_path)
     assert not result.left
     require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
+def test_what_is_missing_of_a_step_may_grow_with_the_step(tmp_path):
+    """A fraction of each step left a curve of the history unknown where the fraction grows."""
+    result, effects, hidden = diagnosed(97013, 2, tmp_path)
+    assert not result.left
+    require_named_or_stated(effects, hidden)
