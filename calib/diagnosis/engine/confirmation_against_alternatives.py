@@ -297,9 +297,8 @@ def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Sco
     if not likelier:
         return False
     after = _smooth_functions(problem, problem.residual(fit), place)
-    left = {
-        (u.place, u.depends_on, u.freedom): u.magnitude for u in after
-    }  # their chance is judged by what scatters now
+    # in metres or pixels: how unlikely it is, is judged by what scatters then
+    left = {(u.place, u.depends_on, u.freedom): u.magnitude for u in after}
     likelier = [u for u in likelier if left.get((u.place, u.depends_on, u.freedom), 0.0) ** 2 < TAKEN * u.magnitude**2]
     far_from_usual = any(score.complexity(size) > u.shortest(size)[1] + alike for u in likelier)
     return far_from_usual or bool(likelier and after)

@@ -190,7 +190,8 @@ def _steps(
             promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
             step = _step(problem, fit, promising, scores, refused)
         if step is None:
-            together = fit_with_effect_weak_at_each_axis(problem, fit, scores, weak)
+            allowed = [s for s in scores if not any(s.candidate is c for c in excluded)]
+            together = fit_with_effect_weak_at_each_axis(problem, fit, allowed, weak)
             if together is None and not promising:
                 return fit
             if together is None:

@@ -91,7 +91,7 @@ def fit_with_effect_weak_at_each_axis(
 
     What the other axes do counts as scatter at each, so that few frames of a small effect convince nobody. The axes'
     chances are combined by Fisher (Statistical methods for research workers, 1932). None where no name is so. scores :
-    of all candidates beside the Fit; tried : names, each once
+    of candidates that may be admitted to the Fit; tried : names, each once
     """
     axes = {name: _surest_at_axes(scores, name) for name in dict.fromkeys(s.candidate.name for s in scores)}
     chances = {name: _combined_chance(of_axes) for name, of_axes in axes.items() if name not in tried}
@@ -102,7 +102,7 @@ def fit_with_effect_weak_at_each_axis(
     size, terms = problem.size(fit), len(problem.terms(fit))
     new = fit
     for place in axes[name]:
-        own = [c for c in admissible_candidates(problem, new) if (c.name, c.place) == (name, place)]
+        own = [s.candidate for s in scores if (s.candidate.name, s.candidate.place) == (name, place)]
         best = best_score(problem, new, own, size)
         if best is not None and best.delta_bic(size) > 0 and len(problem.terms(new)) < problem.policy.most:
             new = problem.add_term(new, best)
