@@ -71,9 +71,11 @@ class Score(Generic[C]):
         return self.delta_chi2 * self.dispersion - self.complexity(size)
 
     def likelihood_ratio(self, frames: int | None) -> float:
-        """Twice the logarithm of the likelihood ratio against nothing that a fit would show. frames : of an axis, whose
-        scatter a scan takes from residuals that still contain the effect, so that delta chi-square stays below their
-        number however large the effect; None where the scatter is not an axis' own
+        """Twice the logarithm of the likelihood ratio against nothing that a fit would show.
+
+        frames : of an axis, whose scatter a scan takes from residuals that still contain the effect, so that delta
+        chi-square stays below their number however large the effect (Seber and Lee, Linear regression analysis, 2003,
+        ch. 4); None where the scatter is not an axis' own
         """
         explained = self.delta_chi2 * self.dispersion
         return explained if frames is None else float(-frames * np.log1p(-min(explained / frames, MOST_OF_SCATTER)))

@@ -77,7 +77,7 @@ def select_terms(
     searched = problem.terms(fit)
     fit, findings = confirm_terms(problem, fit, scans, progress)
     for _ in range(SEARCHED_AGAIN):
-        if Counter(map(id, problem.terms(fit))) == Counter(map(id, searched)):
+        if _counts(problem.terms(fit)) == _counts(searched):
             break
         more = _steps(problem, fit, scans, progress)
         if more is None:
@@ -165,7 +165,7 @@ def _steps(
     keys: HypothesisKeys = set()
     merged: Merges = set()
     weak: set[str] = set()
-    visited: set[frozenset[tuple[int, int]]] = {frozenset(Counter(map(id, problem.terms(fit))).items())}
+    visited = {_counts(problem.terms(fit))}
     refused: list[C] = list(excluded)
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
@@ -190,10 +190,9 @@ def _steps(
             promising = sorted(promising, key=lambda s: not any(s is one for one in alike))
             step = _step(problem, fit, promising, scores, refused)
         if step is None:
-            allowed = [s for s in scores if not any(s.candidate is c for c in excluded)]
-            together = fit_with_effect_weak_at_each_axis(problem, fit, allowed, weak)
+            together = fit_with_effect_weak_at_each_axis(problem, fit, scores, weak)
             if together is None and not promising:
-                return fit
+                return fit  # of which it was asked above whether tolerances explain more
             if together is None:
                 break
             fit = remove_redundant_terms(problem, _refined(problem, together))
@@ -207,11 +206,16 @@ def _steps(
         if all((c.name, c.place) != site for c in problem.terms(fit)):  # it would be admitted and removed for ever
             refused += [c for c in problem.candidates if (c.name, c.place) == site]
         fit = fit_with_whole_machine_term_in_place_of_axis_terms(problem, fit, keys, merged)
-        reached = frozenset(Counter(map(id, problem.terms(fit))).items())
+        reached = _counts(problem.terms(fit))
         if reached in visited:  # as it would be where other terms at its place stay
             refused += [promising[0].candidate, score.candidate]
         visited.add(reached)
     return None if _tolerances_explain(problem, fit, None) else fit
+
+
+def _counts(terms: Sequence[C]) -> frozenset[tuple[int, int]]:
+    """How often each candidate is among terms, whatever their order."""
+    return frozenset(Counter(map(id, terms)).items())
 
 
 def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:

@@ -120,10 +120,11 @@ def _predict_held_out(problem: Problem[Fit, Model, C], fit: Fit, numbers: list[i
 
 def _surest_at_axes(scores: list[Score[C]], name: str) -> dict[str, float]:
     """{axis: chance that noise alone shows there the best of a name's variants}, the least likely first."""
-    own = [s for s in scores if s.candidate.name == name and s.candidate.site.is_axis]
-    places = [s.candidate.place for s in own]
-    least = {s.candidate.place: s.p_value for s in sorted(own, key=lambda s: -s.p_value)}
-    found = {place: min(p * places.count(place), 1.0) for place, p in least.items()}
+    chances: dict[str, list[float]] = {}
+    for s in scores:
+        if s.candidate.name == name and s.candidate.site.is_axis:
+            chances.setdefault(s.candidate.place, []).append(s.p_value)
+    found = {place: min(min(each) * len(each), 1.0) for place, each in chances.items()}
     return dict(sorted(found.items(), key=lambda item: item[1]))
 
 
