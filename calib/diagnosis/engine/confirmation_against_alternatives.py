@@ -224,7 +224,7 @@ def _confirm_term(
     model, size, term = problem.without_term(fit, number), problem.size(fit), problem.terms(fit)[number]
     scanned, held = problem.rescored(model, fit, number), problem.given.holds(term)
     own = scanned
-    if not is_significant(own, count, size, policy) and may_become_significant_when_fitted(own, count, size, policy):
+    if not is_significant(own, count, size, policy) and policy.hidden > 0:  # without it, it may be its axis' scatter
         own = score_raised_to_likelihood_ratio(
             own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
         )

@@ -170,6 +170,7 @@ class LinearModel:
     half: Floats | None
     size: int
     _frame_products: dict[int, tuple[Floats, Floats]] = field(init=False, default_factory=dict)
+    _last_projection: list[tuple[Column, Projection]] = field(init=False, default_factory=list)
 
     @property
     def frames(self) -> int:
@@ -217,7 +218,12 @@ class LinearModel:
         return products if self.half is None else products @ self.half
 
     def project(self, column: Column) -> Projection:
-        """Projection of a Column (k)."""
+        """Projection of a Column (k), made once of the same Column asked for again and again."""
+        if not self._last_projection or self._last_projection[0][0] is not column:
+            self._last_projection[:] = [(column, self._projected(column))]
+        return self._last_projection[0][1]
+
+    def _projected(self, column: Column) -> Projection:
         K, b, G = (
             np.zeros(shape)
             for shape in ((self.columns.count, column.count), column.count, (column.count, column.count))

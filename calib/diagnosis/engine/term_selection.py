@@ -44,6 +44,7 @@ from calib.diagnosis.engine.whole_machine_and_axis_terms import (
     fit_with_axis_terms_in_place_of_whole_machine_term,
     fit_with_effect_weak_at_each_axis,
     fit_with_whole_machine_term_in_place_of_axis_terms,
+    fit_with_whole_machine_term_split_by_axis,
 )
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
@@ -165,6 +166,7 @@ def _steps(
     keys: HypothesisKeys = set()
     merged: Merges = set()
     weak: set[str] = set()
+    split: Merges = set()
     visited = {_counts(problem.terms(fit))}
     refused: list[C] = list(excluded)
     while len(problem.terms(fit)) < policy.most:
@@ -181,6 +183,10 @@ def _steps(
             return None
         alike: list[Score[C]] = []
         step = None
+        apart = fit_with_whole_machine_term_split_by_axis(problem, fit, promising, split) if promising else None
+        if apart is not None:
+            fit = remove_redundant_terms(problem, _refined(problem, apart))
+            continue
         if promising:
             alike = scores_of_best_effect_at_several_axes(
                 promising, scores, model_size, _projection_of_scores(problem, model)

@@ -9,6 +9,7 @@ from calib.diagnosis.engine.candidate_score import SEVERAL, Score, is_significan
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Site
 from calib.diagnosis.engine.problem_interface import AdmissionRules, Fit, Model, Problem
 
+ALIKE = 0.5  # of the evidence for the most promising hypothesis
 UNLIKELY = 0.05  # by chance: a term at one of several axes, among these
 HypothesisKeys = set[tuple[object, ...]]  # of those admitted once
 Merges = set[tuple[str, frozenset[Site]]]  # (name at several axes, (name, place) of all other terms), tried as one
@@ -60,28 +61,71 @@ def fit_with_axis_terms_in_place_of_whole_machine_term(problem: Problem[Fit, Mod
     It serves where an axis shows what no name explains, as one does that has less of it than the whole machine where it
     has no negative size; and where the terms apart are likelier, by what residuals scatter.
     """
-    terms, size, count = problem.terms(fit), problem.size(fit), len(problem.candidates)
-    of_axes = {c.name: [s for s in problem.candidates if s.name == c.name and s.site.is_axis] for c in terms}
-    whole = [c for c in terms if not c.site.is_axis and of_axes[c.name] and not problem.given.holds(c)]
-    if not whole:
+    of_axes = _axis_candidates_of_whole_machine_terms(problem, fit)
+    if not of_axes:
         return None
-    shown = {str(u.place) for u in problem.lack_of_fit(problem.residual(fit))}
-    for name in dict.fromkeys(c.name for c in whole):
-        places = list(dict.fromkeys(c.place for c in of_axes[name]))
-        numbers = [i for i, c in enumerate(terms) if c.name == name]
-        if not shown & set(places) or any(problem.given.holds(terms[i]) for i in numbers):
+    shown, least = {str(u.place) for u in problem.lack_of_fit(problem.residual(fit))}, 2 * np.log(len(problem.candidates))
+    for own in of_axes.values():
+        if shown & {c.place for c in own}:
+            new, gain = _with_axis_terms(problem, fit, own)
+            if gain > least:
+                return new
+    return None
+
+
+def fit_with_whole_machine_term_split_by_axis(
+    problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], split: Merges
+) -> Fit | None:
+    """The Fit with a name's terms at each axis in place of one about the whole machine, None where none is so split.
+
+    It is where an axis shows the name beside it about as strongly as anything else, and all the axes apart gain more
+    than the most promising hypothesis does: what axes have of one law in unequal shares is no other law at some of
+    them. promising : significant Scores; split : those tried, each once
+    """
+    terms, size = problem.terms(fit), problem.size(fit)
+    most = max(s.evidence(size) for s in promising)
+    at_axes = {s.candidate.name for s in promising if s.candidate.site.is_axis and s.evidence(size) >= ALIKE * most}
+    for name, own in _axis_candidates_of_whole_machine_terms(problem, fit).items():
+        tried = name, frozenset((c.name, c.place) for c in terms if c.name != name)
+        if name not in at_axes or tried in split:
             continue
-        new = _without_terms(problem, fit, numbers)
-        before = len(problem.terms(new))
-        for place in places:
-            best = best_score(problem, new, [c for c in of_axes[name] if c.place == place], size)
-            if best is not None and best.evidence(size) > 0:
-                new = problem.add_term(new, best)
-        more = _parameters(problem, new, list(range(before, len(problem.terms(new)))))
-        more -= _parameters(problem, fit, numbers)
-        if _gain(problem, fit, new) > more * np.log(size) + 2 * np.log(count):
+        split.add(tried)
+        new, gain = _with_axis_terms(problem, fit, own)
+        if gain > most + 2 * np.log(len(problem.candidates)):
             return new
     return None
+
+
+def _axis_candidates_of_whole_machine_terms(problem: Problem[Fit, Model, C], fit: Fit) -> dict[str, list[C]]:
+    """{name: its candidates at axes} of a Fit's terms about the whole machine that are not given."""
+    terms = problem.terms(fit)
+    names = dict.fromkeys(c.name for c in terms if not c.site.is_axis)
+    given = {c.name for c in terms if problem.given.holds(c)}
+    found = {n: [c for c in problem.candidates if c.name == n and c.site.is_axis] for n in names if n not in given}
+    return {name: own for name, own in found.items() if own}
+
+
+def _with_axis_terms(problem: Problem[Fit, Model, C], fit: Fit, own: list[C]) -> tuple[Fit, float]:
+    """(The Fit with the best of a name's candidates at each axis in place of all its terms, how much likelier it is for
+    its parameters).
+    """
+    terms, size = problem.terms(fit), problem.size(fit)
+    numbers = [i for i, c in enumerate(terms) if c.name == own[0].name]
+    whole = next(terms[i] for i in numbers if not terms[i].site.is_axis)
+    member = [c for c in own if c.extra == whole.extra] or own  # of the law, as it is true of all
+    new = _without_terms(problem, fit, numbers)
+    before = len(problem.terms(new))
+    for _ in range(2):  # what the others do is scatter at the first of them, until they are in
+        for place in dict.fromkeys(c.place for c in member):
+            here = [c for c in member if c.place == place]
+            if any(c is one for c in here for one in problem.terms(new)):
+                continue
+            best = best_score(problem, new, here, size)
+            if best is not None and best.evidence(size) > 0 and len(problem.terms(new)) < problem.policy.most:
+                new = problem.add_term(new, best)
+    more = _parameters(problem, new, list(range(before, len(problem.terms(new)))))
+    more -= _parameters(problem, fit, numbers)
+    return new, float(_gain(problem, fit, new) - more * np.log(size))
 
 
 def fit_with_effect_weak_at_each_axis(

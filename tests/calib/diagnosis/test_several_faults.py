@@ -75,6 +75,8 @@ def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_to
         pytest.param(95013, 2, id="profiles with kinks, whose own scatter hides how much finer ones explain"),
         pytest.param(95020, 2, id="clearances of few frames each, which convince together, and springs of all struts"),
         pytest.param(97017, 2, id="clearances that predict stretches held out together, and a wave of one strut"),
+        pytest.param(97016, 2, id="struts that lose steps and warm up, each hidden by what the other scatters"),
+        pytest.param(99001, 2, id="two springs and two lost steps of one strut, each the others' scatter where it lacks"),
     ],
 )
 def test_several_faults_of_all_axes_leave_nothing_unknown(seed, count, tmp_path):
@@ -110,3 +112,11 @@ def test_a_late_clock_that_one_struts_hysteresis_hides_at_first_is_one_finding_o
     result, effects, hidden = diagnosed(71009, 2, tmp_path)
     assert not result.left and len(effects) == 2
     require_named_or_stated(effects, hidden)
+
+
+@pytest.mark.slow
+def test_springs_of_all_struts_that_are_not_alike_are_no_clearance_of_some_and_no_creep_of_all(tmp_path):
+    result, effects, hidden = diagnosed(99029, 2, tmp_path)
+    assert not result.left
+    assert {f.effect for f in effects} == {"vibration", "compliance"}
+    assert all(one.is_named(effects) for one in hidden)

@@ -190,12 +190,14 @@ class Sensitivities:
 
     point: OperatingPoint
     pixels: dict[tuple[object, ...], tuple[Integers, Floats]] = field(default_factory=dict)
+    split: dict[tuple[object, ...], tuple[object, Floats, Floats]] = field(default_factory=dict)  # by frames' own poses
     without: dict[str, Floats] = field(default_factory=dict)  # by place, what is seen at this very point
     commanded: Floats | None = None  # what is effectively commanded there, once it is known
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
-        return Sensitivities(point, self.pixels if point.seen is self.point.seen else {})
+        same = point.seen is self.point.seen
+        return Sensitivities(point, self.pixels if same else {}, self.split if same else {})
 
     def deviation(self, candidate: PlatformCandidate, node: Node, motion: Motion) -> Floats:
         """(F, axes, q) m per unit of each linear parameter; (F, axes, 1) m whole where the size is in the node.
@@ -239,21 +241,20 @@ class Sensitivities:
         """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that
         cannot change are left out.
         """
-        direct = self._bending(candidate)
+        direct = self.bent(candidate.kind, candidate.place, candidate.spec.linear)
         if direct is not None:
             return direct
         parts = [self.derivative(candidate.kind, candidate.place, column, node) for column in candidate.spec.linear]
         return parts[0][0], np.stack([quads for _, quads in parts], axis=-1)
 
-    def _bending(self, candidate: PlatformCandidate) -> tuple[Integers, Floats] | None:
-        """The same of what bends one camera's image and says how, None for anything else."""
-        place = Place.parse(candidate.place)
-        if place.kind != "camera":
+    def bent(self, kind: type[Effect], place: str, columns: Sequence[Linear]) -> tuple[Integers, Floats] | None:
+        """(sighting rows (s,), (s, 4, 2, q) px per unit of each column) of what bends one camera's image and says how,
+        None for anything else.
+        """
+        if (at := Place.parse(place)).kind != "camera":
             return None
-        rows = self._rows(candidate.place)
-        found = candidate.kind.bending(
-            self.point.design.camera(place.name), self._quads(rows)[0], candidate.spec.linear
-        )
+        rows = self._rows(place)
+        found = kind.bending(self.point.design.camera(at.name), self._quads(rows)[0], columns)
         return None if found is None else (rows, found)
 
     def derivative(self, kind: type[Effect], place: str, column: Linear, node: Node) -> tuple[Integers, Floats]:
@@ -349,8 +350,7 @@ def effect_parameter_directions(
             and own
             and all(c.role == "linear" for c in own)
         ):
-            pixels = [sensitivities.corners(*_still(effect, c, sensitivities)) for c in own]
-            parts.append(model.fold(np.concatenate(pixels, axis=2)))
+            parts.append(_still(model, effect, own, sensitivities))
             continue
         for c in own:
             ends = c.around(effect)
@@ -365,10 +365,35 @@ def effect_parameter_directions(
     return coordinates, join_columns(parts) if parts else None
 
 
-def _still(effect: Effect, c: Coordinate, sensitivities: Sensitivities) -> tuple[Integers, Floats]:
-    """(sightings, (s, 4, 2, 1) px per unit) of a linear parameter of a view effect that is the same in every frame."""
-    node = {p.name: getattr(effect, p.name) for p in effect.parameters if p.role != "linear"}
-    if c.index is not None:
-        node[COUNT] = len(getattr(effect, c.name))
-    rows, quads = sensitivities.derivative(type(effect), effect.place, Linear(c.name, c.index, c.step), node)
-    return rows, quads[..., None]
+def _still(model: LinearisedModel, effect: Effect, own: list[Coordinate], sensitivities: Sensitivities) -> Column:
+    """Column of linear parameters of a view effect that is the same in every frame.
+
+    It is split by the frames' own poses once for all models that share the derivatives of their corners.
+    """
+    columns = [Linear(c.name, c.index, c.step) for c in own]
+    key = (type(effect).name, effect.place, *columns, *_others(effect).items())
+    known = sensitivities.split.get(key)
+    if known is None or known[0] is not model.derivatives:
+        inner, rest = model.split_by_frames(_moved_corners(effect, columns, sensitivities))
+        known = sensitivities.split[key] = model.derivatives, inner, rest
+    return model.folded(*known[1:])
+
+
+def _others(effect: Effect) -> Node:
+    """{parameter: value} of an effect, but for the linear ones."""
+    return {p.name: getattr(effect, p.name) for p in effect.parameters if p.role != "linear"}
+
+
+def _moved_corners(effect: Effect, columns: list[Linear], sensitivities: Sensitivities) -> Floats:
+    """(n, 2, q) px of all observed corners per unit of linear parameters of a view effect."""
+    size = 0 if columns[0].entry is None else len(getattr(effect, columns[0].name))
+    if [c.entry for c in columns] == list(range(size)):
+        bent = sensitivities.bent(type(effect), effect.place, columns)
+        if bent is not None:
+            return sensitivities.corners(*bent)
+    parts = []
+    for column in columns:
+        length = {} if column.entry is None else {COUNT: len(getattr(effect, column.name))}
+        rows, quads = sensitivities.derivative(type(effect), effect.place, column, {**_others(effect), **length})
+        parts.append(sensitivities.corners(rows, quads[..., None]))
+    return np.concatenate(parts, axis=2)

@@ -129,15 +129,23 @@ class LinearisedModel:
         """Column of corner displacements (n, 2, k) px in the observations' order: what poses swallow goes to the
         closures.
         """
+        return self.folded(*self.split_by_frames(pixels))
+
+    def split_by_frames(self, pixels: Floats) -> tuple[Floats, Floats]:
+        """(in each frame's own coordinates (F, L, k), rest (2n, k)) of corner displacements (n, 2, k) px, both whitened
+        but for the noise's common factor, so that models with the same derivatives share them.
+        """
         c = self.corners
-        V = np.einsum("nij,njk->nik", c.whiten, pixels[c.order]).reshape(2 * len(c.order), -1) / c.sigma
-        inner, out = split_rows_by_frame_bases(V, c.local, c.edges)
+        whitened = c.whiten @ pixels[c.order]
+        return split_rows_by_frame_bases(whitened.reshape(2 * len(c.order), -1), c.local, c.edges)
+
+    def folded(self, inner: Floats, rest: Floats) -> Column:
+        """Column of corner displacements that `split_by_frames` split."""
+        inner = inner / self.corners.sigma
         closures = (
-            self.on_closures(np.einsum("fij,fjk->fik", self.closures.to_rows, inner))
-            if self.point.axes
-            else self.nothing(V.shape[1])
+            self.on_closures(self.closures.to_rows @ inner) if self.point.axes else self.nothing(inner.shape[-1])
         )
-        return Column((out, closures), inner)
+        return Column((rest / self.corners.sigma, closures), inner)
 
     def lengthened(self, deviation: Floats) -> Column:
         """Column of struts longer by deviation (F, axes, k) m."""

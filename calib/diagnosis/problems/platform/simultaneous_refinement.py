@@ -8,7 +8,7 @@ it there.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -60,7 +60,7 @@ ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
 SLACK = ENOUGH
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Refinement:
     """point, model : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of
     them given nothing else; column : Column of their directions"""
@@ -72,7 +72,7 @@ class Refinement:
     covariance: Floats
     column: Column | None
 
-    @property
+    @cached_property
     def marginalised(self) -> LinearisedModel:
         """The model with the effects' parameters among the nuisances."""
         return self.model if self.column is None else self.model.marginalise(self.column)
