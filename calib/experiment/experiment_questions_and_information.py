@@ -149,7 +149,7 @@ class Rival(Generic[F]):
     deviance: float = 0.0
 
 
-def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
+def rival_hypotheses_with_odds(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
     """Hypotheses of rivals by their odds, the finding's first, an unlisted effect last."""
     weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
     shares = (1 - FOREIGN) * weights / weights.sum()

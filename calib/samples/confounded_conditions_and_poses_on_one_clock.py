@@ -256,7 +256,7 @@ def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tupl
     return clocks_of_recording(recording, samples.frame, samples.T_base_platform, samples.covariance, samples.common)
 
 
-def recording_and_poses_on_one_clock(
+def recording_and_poses_on_commands_clock(
     recording: Recording, sampled: Sampled, clocks: Sequence[Clocks]
 ) -> tuple[Recording, Sampled]:
     """The Recording and its Sampled with exposures on the commands' clock, and commands as the axes follow them."""

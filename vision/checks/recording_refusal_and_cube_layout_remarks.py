@@ -26,7 +26,7 @@ from vision.predict import MarkerMap, are_markers_placed, marker_map, markers_ex
 Notice = Callable[[str], None]
 
 
-def discard_notice(line: str) -> None:
+def ignore_notice(line: str) -> None:
     """Discard a notice: the callback where nobody listens."""
 
 

@@ -213,7 +213,7 @@ class CovariateEntry:
     explains: dict[str, ShareEntry]
 
 
-def covariate_entries(covariates: list[Covariate]) -> tuple[CovariateEntry, ...]:
+def ranked_covariate_entries(covariates: list[Covariate]) -> tuple[CovariateEntry, ...]:
     """Entries of ranked covariates, in their order."""
     return tuple(
         CovariateEntry(

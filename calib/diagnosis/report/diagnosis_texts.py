@@ -88,7 +88,7 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
     return ""
 
 
-def stated_beforehand_text(finding: FindingEntry) -> str:
+def assumed_or_seen_before_suffix(finding: FindingEntry) -> str:
     """Text " (assumed)" of a finding that the operator stated beforehand, else empty."""
     return f" ({finding.said})" if finding.said else ""
 

@@ -35,7 +35,7 @@ LISTED = 20  # of what is missing, in a message
 Like = Callable[[Floats], bool]
 
 
-def exposures_with_times(
+def exposures_timed_by_names_table_or_commands(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, are_plausible: Like
 ) -> tuple[ImportedExposures, Recipe]:
     """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.

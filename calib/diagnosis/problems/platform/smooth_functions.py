@@ -20,8 +20,8 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import image_warp_columns
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time

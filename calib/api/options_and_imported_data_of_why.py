@@ -37,7 +37,7 @@ LISTED = 8
 MOST_RADIANS = 6.5  # that joint values reach; so few degrees of travel calibrate nothing
 
 
-def require_data(data: Path) -> None:
+def require_existing_data_path(data: Path) -> None:
     """Require data at a path, else raise FileError.
 
     With the nearest that there is, and for an empty folder.
