@@ -1,6 +1,7 @@
-"""Python entry point of vision: measure, its options and its result.
+"""Python entry point of vision.
 
-A recording is measured: poses with covariance, cameras adjusted, held-out residuals, a verdict and what to look at.
+It is `measure`, with its options and its result. A recording is measured: poses with covariance, cameras adjusted,
+held-out residuals, a verdict and what to look at.
 """
 
 from collections.abc import Callable, Sequence

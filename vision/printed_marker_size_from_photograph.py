@@ -71,7 +71,7 @@ def measure_printed_marker_scale(
 def print_scales_across_and_along_sheet(
     image: Pixels, design: Design, paper: tuple[float, float], tolerance: float
 ) -> Printed:
-    """Printed scale of the markers across and along a whole sheet.
+    """Printed scales of the markers across and along a whole sheet.
 
     image : as cv2.imread gives it; paper : (width, height) m; tolerance : m, standard uncertainty of both. Raises
     RigError where no marker of the rig or no full sheet is seen

@@ -1,4 +1,4 @@
-"""Run of a plan at the machine.
+"""Execution of a given plan at the machine.
 
 The machine is driven, and the run recorded.
 """

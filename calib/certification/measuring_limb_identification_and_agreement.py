@@ -94,8 +94,9 @@ def hexapod_of_six_limbs(design: Design, limb_numbers: Integers | None = None) -
 
 
 def limb_readings_at_exposures(recording: Recording) -> tuple[Integers, Floats]:
-    """Readings (f, limbs) m of the measuring limbs at a recording's exposures, and their frames (f,).
+    """Readings of the measuring limbs at a recording's exposures.
 
+    Returns (frames (f,) of exposures with readings, readings (f, limbs) m)
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
     sensors, channels = recording.sensors, stated_limbs(recording.design).channels

@@ -1,4 +1,4 @@
-"""Open questions of an arm's diagnosis, and the predicted recording of a plan.
+"""Questions that an arm's diagnosis left open, and the predicted recording of a plan.
 
 A recording is predicted with poses, corners with noise and a sensor log. Outcomes of a plan are predicted under each
 hypothesis, with poses linear about the fitted geometry.

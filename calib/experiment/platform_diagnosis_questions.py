@@ -1,4 +1,4 @@
-"""Open questions of a platform's diagnosis.
+"""Questions that a platform's diagnosis left open.
 
 With predicted outcomes of a plan under each hypothesis.
 
@@ -7,7 +7,7 @@ as the recordings so far leave them. What is measured anew is corners with the n
 instrument measures), seen by whichever camera sees them; cameras, lenses, geometry and every frame's pose are as free
 in it as in a diagnosis.
 
-is free, and their odds.
+A question has, for one finding, the hypotheses that are still alike, each fitted with all that is free, and their odds.
 """
 
 from collections.abc import Sequence

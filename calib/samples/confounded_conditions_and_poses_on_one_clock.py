@@ -259,7 +259,10 @@ def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tupl
 def recording_and_poses_on_commands_clock(
     recording: Recording, sampled: Sampled, clocks: Sequence[Clocks]
 ) -> tuple[Recording, Sampled]:
-    """The Recording and its Sampled with exposures on the commands' clock, and commands as the axes follow them."""
+    """The Recording and its Sampled on the commands' clock.
+
+    Exposures are on it, and commands are as the axes follow them.
+    """
     if not clocks:
         return recording, sampled
     recording, s = recording_with_clocks(recording, clocks), sampled.samples

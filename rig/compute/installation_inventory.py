@@ -98,7 +98,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def check_opengl_drawing() -> InventoryItem:
-    """Whether OpenGL draws an image.
+    """Check of whether OpenGL draws an image, as an InventoryItem.
 
     Tried in a child process, since a broken driver ends its process.
     """

@@ -29,8 +29,9 @@ STOPS = {
 
 
 def epics_motor_record_stop_bytes(motors: Iterable[str]) -> bytes:
-    """Bytes that stop EPICS motor records, as a ChannelAccessPort takes them: all of those that are there.
+    """Bytes that stop EPICS motor records.
 
+    As a ChannelAccessPort takes them: all of those that are there.
     What is not there is named when the protocol's own stop follows.
     """
     return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")

@@ -37,7 +37,7 @@ def is_motor_record_name(name: str) -> bool:
 
 
 def is_user_file_or_package(stated: str) -> bool:
-    """Whether a protocol or camera source is of the user's own.
+    """Whether a stated protocol, camera source or sensor port is a user's own file or package.
 
     "file:mine.py" or "package:NAME".
     """

@@ -83,7 +83,7 @@ UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
 
 
 def read_poses_csv_of_directions(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
-    """Table of directions read from a poses.csv.
+    """Read a poses.csv of directions.
 
     form : of the file
     Returns (Table, unit vectors (n, 3)) of columns azimuth and elevation (rad), or x, y and z

@@ -27,7 +27,7 @@ Notice = Callable[[str], None]
 
 
 def ignore_notice(line: str) -> None:
-    """Discard a notice: the callback where nobody listens."""
+    """Ignore a notice: the callback where nobody listens, which does nothing."""
 
 
 def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice) -> None:

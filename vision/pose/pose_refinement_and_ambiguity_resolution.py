@@ -65,9 +65,11 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
 
 
 def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
-    """Rotation outliers {frame: reason} among solved poses (4, 4).
+    """Rotation outliers among solved poses (4, 4).
 
     Flips against well-predicted neighbours.
+    t : (F,) s
+    Returns {frame: reason}
     """
     reach = neighbour_rotation_scatter(solved_poses, t)
     odd: dict[int, str] = {}
@@ -105,9 +107,9 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
 
 
 def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
-    """Pose (4, 4) of frame f from solved neighbours, and rad that it may be off.
+    """Pose of frame f from solved neighbours.
 
-    Returns (None, inf) without any
+    Returns (pose (4, 4), rad that it may be off), (None, inf) without any
     """
     before, after = _near(solved_poses, f, t)
     ways = [(scatter.adjacent * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]

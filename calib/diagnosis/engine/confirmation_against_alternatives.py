@@ -163,7 +163,7 @@ class Finding(Generic[C]):
 
 
 def search_label_of_unconfirmed_terms(terms: Sequence[C]) -> str:
-    """Label of a search beside terms, which names what is found so far and not yet confirmed."""
+    """Label of a search beside terms found so far, which names them as not yet confirmed."""
     places = [f"{term.name} at {term.place}" for term in terms]
     more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
     return f"so far {', '.join(places[:LISTED])}{more}, not yet confirmed; searching on" if places else "searching"

@@ -214,7 +214,10 @@ class CovariateEntry:
 
 
 def ranked_covariate_entries(covariates: list[Covariate]) -> tuple[CovariateEntry, ...]:
-    """Entries of ranked covariates, in their order."""
+    """Entries of ranked covariates.
+
+    In their order.
+    """
     return tuple(
         CovariateEntry(
             c.name,

@@ -89,7 +89,10 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
 
 
 def assumed_or_seen_before_suffix(finding: FindingEntry) -> str:
-    """Text " (assumed)" of a finding that the operator stated beforehand, else empty."""
+    """Suffix " (assumed)" or " (seen before)" of a finding, else empty.
+
+    Of one that the operator stated beforehand.
+    """
     return f" ({finding.said})" if finding.said else ""
 
 

@@ -1,4 +1,4 @@
-"""Emulator of a controller, and the base of a user's own line emulator.
+"""Base of controller emulators, and of a user's own line emulator.
 
 Bytes received, answers and their delays; log of the true commands.
 

@@ -1,4 +1,4 @@
-"""Bases of protocols: their interface, and a user's own line protocol.
+"""Interface of controller protocols, and the base of a user's own line protocol.
 
 Dialogues that yield request bytes and receive answer lines.
 

@@ -144,9 +144,9 @@ def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effe
 
 
 def mass_and_moments_over_stiffness(effect: Effect) -> tuple[float, ...]:
-    """Mass and mass moments over the stiffness of a `deflection_under_link_weight`.
+    """Mass and mass moments over stiffness of an effect.
 
-    None of any other effect.
+    Of a `deflection_under_link_weight`; none of any other effect.
     """
     return effect.moments if isinstance(effect, Compliance) else ()
 

@@ -1,6 +1,6 @@
-"""Hysteresis of a strut or joint, from friction and springs in its drive.
+"""Hysteresis of a strut or joint.
 
-Nested loops that do not saturate at one gap.
+From friction and springs in its drive: nested loops that do not saturate at one gap.
 """
 
 from dataclasses import dataclass

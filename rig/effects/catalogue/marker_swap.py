@@ -1,4 +1,7 @@
-"""Marker swap: two faces' markers are exchanged, or one is glued on turned."""
+"""Marker swap: two faces' markers are exchanged.
+
+Or one is glued on turned.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -100,7 +100,7 @@ def unrecognised_unit_of_header(header: str) -> str | None:
 
 
 def known_unit_or_none(word: str) -> str | None:
-    """The unit that a word means, or None."""
+    """The unit that a word means, or None where it means none."""
     word = word.strip()
     if word in (*ALL, *TIMES, *OTHER):
         return word

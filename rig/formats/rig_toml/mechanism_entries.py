@@ -103,7 +103,10 @@ def hands_of_tables(table: Entries, joint_count: int, branches: tuple[Branch, ..
 
 
 def branch_and_hand_json(branches: tuple[Branch, ...], hands: tuple[Hand, ...]) -> Json:
-    """The tables of branches and hands as JSON holds them, which the functions above read; nothing of one hand."""
+    """The tables of branches and hands as JSON holds them.
+
+    The functions above read them; nothing of one hand.
+    """
     if not hands:
         return {}
     listed = []

@@ -64,8 +64,9 @@ def merge_sinusoids_into_profiles(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with many sinusoids at a joint merged into one profile, where that fits about as well.
+    """The Fit with many sinusoids at a joint merged into one profile.
 
+    Where that fits about as well.
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
