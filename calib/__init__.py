@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from calib.api.correct import correct as correct
     from calib.api.diagnose import DiagnoseOptions as DiagnoseOptions
     from calib.api.diagnose import diagnose as diagnose
+    from calib.api.execute_plan_at_machine import RunOptions as RunOptions
+    from calib.api.execute_plan_at_machine import plan_run as plan_run
     from calib.api.export_to_other_programs import ExportOptions as ExportOptions
     from calib.api.export_to_other_programs import export as export
     from calib.api.investigate import investigate as investigate
@@ -29,17 +31,15 @@ if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import close_loops as close_loops
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import AcceptLimbsOptions as AcceptLimbsOptions
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import accept_limbs as accept_limbs
+    from calib.api.options_and_imported_data_of_why import WhyOptions as WhyOptions
     from calib.api.parameter_learning_pose_by_pose_from_recording import LearnOptions as LearnOptions
     from calib.api.parameter_learning_pose_by_pose_from_recording import learn as learn
     from calib.api.plan import plan as plan
     from calib.api.plan_options_and_result import PlanOptions as PlanOptions
-    from calib.api.plan_run_at_machine import RunOptions as RunOptions
-    from calib.api.plan_run_at_machine import plan_run as plan_run
     from calib.api.recording_check_combination_and_view import check as check
     from calib.api.verify_and_watch import verify as verify
     from calib.api.verify_and_watch import watch as watch
     from calib.api.why import why as why
-    from calib.api.why_options_and_data_import import WhyOptions as WhyOptions
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
     from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_plan_execution import InvestigateOptions as InvestigateOptions
@@ -97,12 +97,12 @@ __getattr__ = lazy_getattr(
         ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closure_check_of_redundant_legs"),
         **dict.fromkeys(("export", "ExportOptions"), "calib.api.export_to_other_programs"),
-        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.plan_run_at_machine"),
+        **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.execute_plan_at_machine"),
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",
         "InvestigateOptions": "calib.experiment.investigation_plan_execution",
         "why": "calib.api.why",
-        "WhyOptions": "calib.api.why_options_and_data_import",
+        "WhyOptions": "calib.api.options_and_imported_data_of_why",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
         "CertifyOptions": "calib.certificate.certificate_contents",
     },

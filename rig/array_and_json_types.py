@@ -1,4 +1,7 @@
-"""Type aliases of NumPy arrays by what they hold, and of JSON values; checked read-only arrays."""
+"""Type aliases of NumPy arrays and of JSON values.
+
+Those of arrays are named by what they hold. Arrays of dataclasses are made read-only, and their shapes are checked.
+"""
 
 from typing import Any
 

@@ -141,7 +141,10 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
 
 
 def campaign_verdict(figures: list[Figure]) -> Verdict:
-    """Verdict on a campaign: which figures reach their goal, and which certainly do not."""
+    """Verdict on a campaign.
+
+    It says which figures reach their goal, and which certainly do not.
+    """
     requested = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in requested if f.hits < (f.goal or 0) * f.trials]
     if not requested:

@@ -19,8 +19,8 @@ from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms, motion_simulation
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design, Sensor
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement

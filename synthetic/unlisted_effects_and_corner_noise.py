@@ -18,8 +18,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Markers, markers_with_replaced_columns
 from rig.errors import RigError
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import exp, transform_points

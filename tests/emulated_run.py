@@ -149,7 +149,7 @@ class RigInThread:
 
     def run(self, out: Path, plan: str = "sobol:2", notices: list[str] | None = None, **options) -> int:
         """A run of a plan, which measures nothing, as `rig run` makes it."""
-        from calib.api.plan_run_at_machine import RunOptions, plan_run
+        from calib.api.execute_plan_at_machine import RunOptions, plan_run
 
         settings = {"settle": "time:0", "exposure": "keep", "measure": False} | options
         planned = plan_run(self.design, self.path, plan, RunOptions(**settings))

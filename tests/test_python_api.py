@@ -42,7 +42,7 @@ CALLS = {
     "arm posture": "rig.posture.best_posture:best_posture",
     "arm wrench": "rig.posture.external_wrench_from_torque_table:measure_wrench",
     "simulate blind": "synthetic.blind_campaign:Campaign",
-    "run": "calib.api.plan_run_at_machine:plan_run",
+    "run": "calib.api.execute_plan_at_machine:plan_run",
     "view": "calib.api.recording_check_combination_and_view:view",
     "go": "calib.api.correction_server_and_move_to_pose:plan_pose_move",
     **dict.fromkeys(("home", "jog", "status", "stop"), "rig.driving.driver_opening_and_settling:open_driver"),

@@ -1,6 +1,7 @@
-"""Python entry point of vision: measure, its options and its result.
+"""Python entry point of vision.
 
-A recording is measured: poses with covariance, cameras adjusted, held-out residuals, a verdict and what to look at.
+It is `measure`, with its options and its result. A recording is measured: poses with covariance, cameras adjusted,
+held-out residuals, a verdict and what to look at.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +15,8 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from rig.recording import recording_tables
 from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
@@ -43,7 +44,7 @@ from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.camera_and_command_clocks import Clocks, clocks_of_recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
-    discard_notice,
+    ignore_notice,
     make_corner_mistake_refusal,
     refuse_mistakes_in_files_and_images,
 )
@@ -259,7 +260,7 @@ def measure(
     recording: Recording,
     options: MeasureOptions = MeasureOptions(),
     progress: Progress | None = None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
 ) -> MeasurementResult:
     """MeasurementResult of a recording, as `rig measure` makes it.
 

@@ -1,6 +1,6 @@
-"""OpenCV's lens model.
+"""Lens model of a camera.
 
-Projection with Jacobian and undistortion, with their compiled kernels.
+It is OpenCV's: projection with Jacobian and undistortion, with their compiled kernels.
 
 Points in the camera's frame (OpenCV axes: x right, y down, z
 ahead).

@@ -187,7 +187,7 @@ def predict_corners(observations: ObservedCorners, state: State) -> tuple[Floats
         np.empty((len(observations), 3)),
     )
     for i, camera, rows in iterate_observed_cameras(observations, state):
-        ahead[rows] = points_in_camera_frame(base[rows], observations.frame[rows], state, i)
+        ahead[rows] = base_points_in_camera_frame(base[rows], observations.frame[rows], state, i)
         uv[rows] = lens.project(ahead[rows], camera.matrix, camera.distortion)
     return uv, ahead
 
@@ -401,9 +401,9 @@ def observed_points_base(observations: ObservedCorners, state: State) -> Floats:
     return out
 
 
-def points_in_camera_frame(points: Floats, frame: Integers, state: State, camera_index: int) -> Floats:
-    """Points (n, 3) m of the base in the frame of one camera, each at its frame (n,)."""
+def base_points_in_camera_frame(points_base: Floats, exposure: Integers, state: State, camera_index: int) -> Floats:
+    """Points (n, 3) m of the base in the frame of one camera, each at its exposure (n,), the index of a frame."""
     if camera_index in state.moving:
-        matrix = state.moving[camera_index].inv().as_matrix()[frame]
-        return (matrix[:, :3, :3] @ points[..., None])[..., 0] + matrix[:, :3, 3]
-    return transform_points(state.cameras[camera_index].pose.inv(), points)
+        matrix = state.moving[camera_index].inv().as_matrix()[exposure]
+        return (matrix[:, :3, :3] @ points_base[..., None])[..., 0] + matrix[:, :3, 3]
+    return transform_points(state.cameras[camera_index].pose.inv(), points_base)

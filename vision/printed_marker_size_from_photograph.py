@@ -51,7 +51,8 @@ def measure_printed_marker_scale(
     """Measure the printed scale of markers in a photograph, by a ruler or, without one, by the whole sheet.
 
     sheet : width, height and their standard uncertainty, m; ruler : (2, 2) px of two of its lines, and m between them
-    Raises FileError for a file that is no picture, RigError as `print_scale_on_sheet` and `print_scale_by_ruler`
+    Raises FileError for a file that is no picture, RigError as `print_scales_across_and_along_sheet` and
+        `print_scale_by_ruler`
     """
     if not photo.is_file():
         raise FileError(photo, "no such file")
@@ -64,11 +65,13 @@ def measure_printed_marker_scale(
     if ruler is not None:
         return print_scale_by_ruler(image, design, *ruler)
     width, height, uncertainty = sheet
-    return print_scale_on_sheet(image, design, (width, height), uncertainty)
+    return print_scales_across_and_along_sheet(image, design, (width, height), uncertainty)
 
 
-def print_scale_on_sheet(image: Pixels, design: Design, paper: tuple[float, float], tolerance: float) -> Printed:
-    """Printed scale of the markers across and along a whole sheet.
+def print_scales_across_and_along_sheet(
+    image: Pixels, design: Design, paper: tuple[float, float], tolerance: float
+) -> Printed:
+    """Printed scales of the markers across and along a whole sheet.
 
     image : as cv2.imread gives it; paper : (width, height) m; tolerance : m, standard uncertainty of both. Raises
     RigError where no marker of the rig or no full sheet is seen

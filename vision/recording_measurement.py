@@ -16,7 +16,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
-from vision import recording_adjustment, rolling_shutter_motion
+from vision import recording_adjustment, rolling_shutter_motion_removed_from_poses
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (
     HALVED,
@@ -40,7 +40,7 @@ from vision.recording_adjustment import (
     measure_without_remounted_cubes,
     recording_seen_from_hand,
 )
-from vision.rolling_shutter_motion import Rates, ReadoutMotion
+from vision.rolling_shutter_motion_removed_from_poses import Rates, ReadoutMotion
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
@@ -71,7 +71,7 @@ def measure_recording(
     recording = recording_with_unstated_markers_placed(recording, read_images, progress)
     options = (free, read_images, progress, places, check_corners)
     if not has_hand_cameras(recording.design):
-        return _measured(recording, *options, rolling_shutter_motion.commanded_rates(recording))
+        return _measured(recording, *options, rolling_shutter_motion_removed_from_poses.commanded_rates(recording))
     measured, collected = _measured(recording_seen_from_hand(recording), *options, None)
     return invert_measured_poses(measured), collected
 

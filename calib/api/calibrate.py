@@ -56,15 +56,15 @@ from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, samp
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
-    recording_and_poses_on_one_clock,
+    recording_and_poses_on_commands_clock,
 )
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
 from rig.errors import RigError
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_arm,
     require_chain,
@@ -76,7 +76,7 @@ from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.camera_and_command_clocks import Clocks
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +232,7 @@ def calibrate(
     recordings: Recording | Sequence[Recording],
     options: CalibrateOptions = SEARCHED,
     progress: Progress | None = None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
 ) -> CalibrationResult:
     """CalibrationResult of a recording, or of several of one rig jointly, as `rig calibrate` makes it.
 
@@ -256,7 +256,7 @@ def calibrate(
         clocks: tuple[Clocks, ...] = ()
         if not options.with_findings and options.limbs is None:  # which tell clocks and lags themselves
             clocks = estimate_clocks_from_samples(recording, sampled.samples)
-            recording, sampled = recording_and_poses_on_one_clock(recording, sampled, clocks)
+            recording, sampled = recording_and_poses_on_commands_clock(recording, sampled, clocks)
         sampled = replace(sampled, files=(*sampled.files, *(plugin.path for plugin in options.effects)))
         return replace(_calibrated(recording, sampled, findings, kinds, options, call), clocks=clocks)
 

@@ -37,7 +37,7 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text
-from rig.model.hands_effect_places_and_tolerances import selected_hand_name
+from rig.model.arm_hands_effect_places_and_tolerances import selected_hand_name
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,

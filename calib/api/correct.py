@@ -30,7 +30,7 @@ from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
-from rig.model.hands_effect_places_and_tolerances import hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import POSE_COLUMNS, POSE_UNITS, Poses

@@ -71,8 +71,8 @@ from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import NotEnoughData, RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     has_links,

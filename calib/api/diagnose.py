@@ -34,12 +34,12 @@ from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.model.hands_effect_places_and_tolerances import hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, State, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice, recorded_or_sampled_corners
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()
 
@@ -134,7 +134,7 @@ def diagnose(
     recordings: Recording | Sequence[Recording],
     options: DiagnoseOptions = DiagnoseOptions(),
     progress: Progress | None = None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
 ) -> DiagnosisResult:
     """DiagnosisResult of a recording, or of several of one rig jointly, as `rig diagnose` makes it.
 

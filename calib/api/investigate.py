@@ -33,8 +33,8 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan

@@ -146,7 +146,7 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
         require_hexapod(recording.design.mechanism),
         measuring_limb_identification_and_agreement.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(recording)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]

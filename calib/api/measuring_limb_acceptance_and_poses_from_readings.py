@@ -35,7 +35,7 @@ from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pi
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 FIGURES = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
 
@@ -149,7 +149,7 @@ def accept_limbs(
     measuring_limb_identification_and_agreement.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_identification_and_agreement.limb_readings(recording)
+    frames, every = measuring_limb_identification_and_agreement.limb_readings_at_exposures(recording)
     stated = measuring_limb_identification_and_agreement.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
@@ -225,7 +225,7 @@ def measure_poses_by_limbs(
     limbs: LimbSource,
     anyway: bool = False,
     progress: Progress | None = None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
 ) -> MeasuredLimbPoses:
     """Poses of a recording measured by its accepted measuring limbs, as `rig measure --limbs` makes them.
 

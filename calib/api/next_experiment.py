@@ -349,9 +349,9 @@ def diagnosis_questions(diagnosis: Diagnosis) -> Sequence[Question[object]]:
     Raises RigError for a machine of which no plan can be foretold.
     """
     if diagnosis.evidence.family == "joints":
-        from calib.experiment.arm_questions_and_predicted_recording import open_questions_of_arm_diagnosis
+        from calib.experiment.arm_diagnosis_questions_and_predicted_recording import open_questions_of_arm_diagnosis
 
         return open_questions_of_arm_diagnosis(diagnosis)
-    from calib.experiment.platform_questions import open_questions_of_platform_diagnosis
+    from calib.experiment.platform_diagnosis_questions import open_questions_of_platform_diagnosis
 
     return open_questions_of_platform_diagnosis(diagnosis)

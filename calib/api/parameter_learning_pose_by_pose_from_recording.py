@@ -34,7 +34,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refutation, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ def learn(
     recording: Recording,
     options: LearnOptions = LearnOptions(),
     progress: Progress = lambda *_: None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
 ) -> LearningResult:
     """Learn from a recording's poses (LearningResult).
 
@@ -158,7 +158,7 @@ def learn_from_samples(
     sampled: Sampled,
     state: Path | None = None,
     progress: Progress = lambda *_: None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
 ) -> LearningResult:
     """Learn parameters by the filter from samples already measured, as by limbs (LearningResult).
 

@@ -46,9 +46,9 @@ from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, r
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.base_and_link_tilts import GRAVITY_SIGMA
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,

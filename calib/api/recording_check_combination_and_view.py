@@ -25,7 +25,7 @@ from calib.models.geometry_and_placement_fit_of_several_recordings import remove
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from calib.report.recording_and_plan_pages import write_recording_page
-from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors import (
+from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     are_base_and_tool_frames_unknown,
     recording_in_machine_frames,
 )
@@ -37,7 +37,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistak
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model import mechanisms
-from rig.model.hands_effect_places_and_tolerances import hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     geometric_parameters,

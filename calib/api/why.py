@@ -14,7 +14,11 @@ import numpy as np
 from calib.api.calibrate import CalibrateOptions, CalibrationResult, calibrate
 from calib.api.diagnose import DiagnoseOptions, DiagnosisResult, diagnose
 from calib.api.next_experiment import NextExperiment
-from calib.api.why_options_and_data_import import WhyOptions, recording_and_whether_noise_is_assumed, require_data
+from calib.api.options_and_imported_data_of_why import (
+    WhyOptions,
+    recording_and_whether_noise_is_assumed,
+    require_existing_data_path,
+)
 from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
@@ -25,12 +29,12 @@ from calib.models.arm.certification import CertifiedArm
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.model.hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import WORST, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line
@@ -258,7 +262,7 @@ def why(
     options: WhyOptions = NOTHING_STATED,
     folder: Path | None = None,
     progress: Progress | None = None,
-    notice: Notice = discard_notice,
+    notice: Notice = ignore_notice,
     links: Sequence[Link] = (),
 ) -> WhyResult:
     """Why a machine is not where its model says (WhyResult), from its data.
@@ -270,7 +274,7 @@ def why(
     Raises FileError for data that cannot be read, RigError without a model of the machine, for data where nothing was
         commanded and for data whose results would mean nothing, NotEnoughData without poses
     """
-    require_data(data)
+    require_existing_data_path(data)
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
         results = Path(scratch) if folder is None else folder
         recording, assumed = recording_and_whether_noise_is_assumed(data, options, results, notice)

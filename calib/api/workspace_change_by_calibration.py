@@ -31,7 +31,7 @@ from rig.model import mechanisms
 from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -90,7 +90,7 @@ class WorkspaceResult(OneLineRepr):
         )
 
 
-def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notice = discard_notice) -> WorkspaceResult:
+def analyse_workspace(path: Path, certificate: Path | None = None, notice: Notice = ignore_notice) -> WorkspaceResult:
     """Workspace analysis of a calibration.json (WorkspaceResult).
 
     As `rig workspace` makes it.

@@ -15,14 +15,14 @@ from calib.correction.physics_compensation import Physics
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     Confounds,
     estimate_clocks_from_samples,
-    recording_and_poses_on_one_clock,
+    recording_and_poses_on_commands_clock,
 )
 from calib.samples.pose_samples import Sampled, Samples
 from calib.workspace.workspace_map_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import number_text
-from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.mechanisms.best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
 from rig.recording.recording_folder import Recording
@@ -258,7 +258,7 @@ class Calibration(OneLineRepr):
         if self.physics is not None:
             return recording, sampled, ()
         clocks = tuple(replace(one, lag=0.0) for one in estimate_clocks_from_samples(recording, sampled.samples))
-        return *recording_and_poses_on_one_clock(recording, sampled, clocks), tuple(
+        return *recording_and_poses_on_commands_clock(recording, sampled, clocks), tuple(
             f"taken into account: {one}" for one in clocks
         )
 

@@ -93,9 +93,10 @@ def hexapod_of_six_limbs(design: Design, limb_numbers: Integers | None = None) -
     )
 
 
-def limb_readings(recording: Recording) -> tuple[Integers, Floats]:
-    """Readings (f, limbs) m of the measuring limbs at a recording's exposures, and their frames (f,).
+def limb_readings_at_exposures(recording: Recording) -> tuple[Integers, Floats]:
+    """Readings of the measuring limbs at a recording's exposures.
 
+    Returns (frames (f,) of exposures with readings, readings (f, limbs) m)
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
     sensors, channels = recording.sensors, stated_limbs(recording.design).channels
@@ -123,7 +124,7 @@ def limb_readings(recording: Recording) -> tuple[Integers, Floats]:
 
 def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, lengths: Floats) -> Samples:
     """Samples with the measuring limbs' readings as commands, the poses those of vision.
-    samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings` gives them, of six.
+    samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings_at_exposures` gives them, of six.
 
     Raises NotEnoughData where no frame has both
     """

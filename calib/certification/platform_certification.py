@@ -1,4 +1,7 @@
-"""Certification of a platform's calibration by held-out poses and by machine draws."""
+"""Certification of a platform's calibration.
+
+By held-out poses and by machine draws.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

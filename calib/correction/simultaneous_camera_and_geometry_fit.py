@@ -31,7 +31,7 @@ from rig.model.pose import exp, skew
 from vision import lens
 from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations
-from vision.predict import State, iterate_observed_cameras, observed_points_base, points_in_camera_frame
+from vision.predict import State, base_points_in_camera_frame, iterate_observed_cameras, observed_points_base
 from vision.recording_adjustment import Measurement
 
 
@@ -99,7 +99,7 @@ def fit_cameras_and_geometry(
         R_platform = now.platform.rotation.as_matrix()
         for i, camera, rows in iterate_observed_cameras(observations, now):
             frame, on = observations.frame[rows], observations.on_platform[rows]
-            ahead = points_in_camera_frame(base[rows], frame, now, i)
+            ahead = base_points_in_camera_frame(base[rows], frame, now, i)
             uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
             W = whitener[rows]
             residual[rows] = (W @ (observations.uv[rows] - uv)[..., None])[..., 0]

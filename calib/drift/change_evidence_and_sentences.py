@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 
 from calib.drift.visit_equations_and_reference import GAP, GEOMETRY, GROWTH, OWN, SOFT, UNITS, Equations, Reference
 from rig.array_and_json_types import Floats
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely

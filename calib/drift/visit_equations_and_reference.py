@@ -21,8 +21,8 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design, Platform
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import log, skew

@@ -23,8 +23,8 @@ from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
 from rig.formats.output_files import write_text
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import DISTORTION_TERMS, Camera
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_to_entry
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,

@@ -149,8 +149,11 @@ class Rival(Generic[F]):
     deviance: float = 0.0
 
 
-def rival_hypotheses(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
-    """Hypotheses of rivals by their odds, the finding's first, an unlisted effect last."""
+def rival_hypotheses_with_odds(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], ...]:
+    """Hypotheses of rivals with their odds.
+
+    The finding's first, an unlisted effect last.
+    """
     weights = np.exp(-np.array([rival.behind for rival in rivals]) / 2)
     shares = (1 - FOREIGN) * weights / weights.sum()
     named = [Hypothesis(r.name, r.place, float(share), r.fit, r.number, r.deviance) for r, share in zip(rivals, shares)]

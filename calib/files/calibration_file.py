@@ -49,7 +49,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
-from rig.model.hands_effect_places_and_tolerances import hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.recording.exposures_and_image_files import LARGEST_IMAGE_FILE
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,

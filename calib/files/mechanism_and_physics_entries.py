@@ -24,15 +24,15 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import (
-    branch_and_hand_dicts,
+    branch_and_hand_json,
     branches_of_tables,
     hands_of_tables,
     mechanism_of_file,
 )
 from rig.formats.rig_toml.strut_entries import follower_strut_numbers, stated_strut_count
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Actuator, Platform
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
@@ -174,10 +174,10 @@ def mechanism_dict(mechanism: Commanded) -> Json:
             "joints": mechanism.rows.tolist(),
             **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")[: 3 - ends]},
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
-            **branch_and_hand_dicts(mechanism.branches, mechanism.hands),
+            **branch_and_hand_json(mechanism.branches, mechanism.hands),
         }
     if not has_struts(mechanism):
-        return file_mechanism_dict(mechanism)
+        return kinematics_file_mechanism_dict(mechanism)
     followers = is_hexapod(mechanism) and mechanism.followers
     return {
         "kind": mechanism.kind,
@@ -202,7 +202,7 @@ def mechanism_from_entries(table: Entries, is_nominal: bool = False) -> Commande
     return _stage_in(table, is_nominal)
 
 
-def file_mechanism_dict(mechanism: FileMechanism) -> Json:
+def kinematics_file_mechanism_dict(mechanism: FileMechanism) -> Json:
     """dict of a mechanism of a kinematics file, as JSON holds it.
 
     The file by name and hash, and its parameters.

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model_and_identification as chains
-from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors import (
+from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     are_base_and_tool_frames_unknown,
     has_translation_only_platform,
     poses_aligned_with_machine,

@@ -137,7 +137,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(recording)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.report.pose_and_effect_figures import pose_coverage_figures
 from rig.array_and_json_types import Floats
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (

@@ -256,10 +256,13 @@ def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tupl
     return clocks_of_recording(recording, samples.frame, samples.T_base_platform, samples.covariance, samples.common)
 
 
-def recording_and_poses_on_one_clock(
+def recording_and_poses_on_commands_clock(
     recording: Recording, sampled: Sampled, clocks: Sequence[Clocks]
 ) -> tuple[Recording, Sampled]:
-    """The Recording and its Sampled with exposures on the commands' clock, and commands as the axes follow them."""
+    """The Recording and its Sampled on the commands' clock.
+
+    Exposures are on it, and commands are as the axes follow them.
+    """
     if not clocks:
         return recording, sampled
     recording, s = recording_with_clocks(recording, clocks), sampled.samples

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples.exposure_conditions import Conditions, conditions_of_exposures
-from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors import (
+from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     UNSTATED,
     has_translation_only_platform,
     pose_covariance,
@@ -24,9 +24,9 @@ from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors i
 )
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.frame_selection_and_content_hashes import (
     hands_with_seen_targets,

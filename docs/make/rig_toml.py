@@ -18,6 +18,7 @@ from rig.formats.numbers_and_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
@@ -37,7 +38,6 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, has_links
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arms_and_layouts
 

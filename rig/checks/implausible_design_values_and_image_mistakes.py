@@ -167,7 +167,7 @@ OUTSIDE = 0.02  # share of corners beyond their images, from which it is no outl
 STILL = 1e-6  # m or rad; commands that differ by less leave the same picture
 
 
-def unused_cameras(recording: Recording) -> Iterator[Mistake]:
+def unused_camera_mistakes(recording: Recording) -> Iterator[Mistake]:
     """Mistakes: cameras of rig.toml without any frame or corner in the recording."""
     e, c = recording.exposures, recording.corners
     for camera in recording.design.cameras:
@@ -304,6 +304,6 @@ def _all(recording: Recording) -> Iterator[Mistake]:
             times["frames.csv"], r.commands.t, r.commands.values
         )
     yield from mistake_dataclass_and_clock_mistakes.repeated_time_mistakes(times["frames.csv"])
-    yield from unused_cameras(r)
+    yield from unused_camera_mistakes(r)
     yield from duplicate_images(r)
     yield from corners_outside_images(r)

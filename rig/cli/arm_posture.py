@@ -1,6 +1,6 @@
-"""rig arm posture: optimal posture of a redundant arm.
+"""rig arm posture: posture of a redundant arm.
 
-At a fixed hand pose, for sensing or exerting a force.
+The optimal one at a fixed hand pose, for sensing or exerting a force.
 """
 
 from __future__ import annotations

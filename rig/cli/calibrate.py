@@ -1,7 +1,7 @@
-"""rig calibrate: calibrate a rig; rig calibrate online: learn pose by pose.
+"""rig calibrate: calibrate a rig.
 
-It writes calibration.json with held-out errors, and a page. On-line, the poses of a recording are learnt one by one,
-and sudden changes of the machine are reported.
+It writes calibration.json with held-out errors, and a page. `rig calibrate online` learns pose by pose: the poses of a
+recording are learnt one by one, and sudden changes of the machine are reported.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from rig.cli.shared.common_options import (
     add_json_result_option,
     add_port_and_trace_options,
     add_speed_option,
-    add_trust_unhomed_position_option,
+    add_trust_option,
     add_units_option,
 )
 from rig.errors import RigError
@@ -47,7 +47,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--dry-run", action="store_true", help="print what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
-    add_trust_unhomed_position_option(parser)
+    add_trust_option(parser)
     input_options.add_user_effect_files_option(parser)
     add_port_and_trace_options(parser)
     add_json_result_option(parser)

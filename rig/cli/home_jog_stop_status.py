@@ -14,7 +14,7 @@ from rig.cli.shared.common_options import (
     add_controller_arguments,
     add_json_result_option,
     add_speed_option,
-    add_trust_unhomed_position_option,
+    add_trust_option,
 )
 from rig.errors import PositionLost, RigError
 from rig.formats.numbers_and_units import parse_number, parse_numbers, parse_whole_number
@@ -63,7 +63,7 @@ def arguments_of_jog(parser: ArgumentParser) -> None:
         action="store_true",
         help="clear the controller's alarm first; its position is then trusted with --trust only",
     )
-    add_trust_unhomed_position_option(parser)
+    add_trust_option(parser)
 
 
 def run_jog(arguments: Namespace) -> None:

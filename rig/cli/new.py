@@ -1,7 +1,7 @@
-"""rig new: write a rig.toml from answers to questions; rig new design: from a radius or an arm.
+"""rig new: write a rig.toml.
 
-A folder is filled from four questions or options. A design comes from a radius, an arm's name, its URDF or its table of
-rows.
+A folder is filled from answers to four questions, or from options. `rig new design` writes one from a radius, or from
+an arm: its name, its URDF or its table of rows.
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""rig print: print the cubes of a rig; rig print check: measure a printed sheet.
+"""rig print: print the cubes of a rig.
 
-Cubes of a rig.toml are written as sheets to print true to scale (PDF), or as STL bodies. A sheet is measured by a
-photograph: the true side of its markers.
+Cubes of a rig.toml are written as sheets to print true to scale (PDF), or as STL bodies. `rig print check` measures a
+printed sheet by a photograph: the true side of its markers.
 """
 
 from __future__ import annotations

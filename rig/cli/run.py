@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from calib.api.plan_run_at_machine import PlannedRun, RunOptions
+    from calib.api.execute_plan_at_machine import PlannedRun, RunOptions
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -102,7 +102,7 @@ def run(arguments: Namespace) -> None:
 
     Run a plan on the machine and record it, or resume such a run.
     """
-    from calib.api.plan_run_at_machine import plan_run
+    from calib.api.execute_plan_at_machine import plan_run
     from rig.driving.driver_opening_and_settling import design_with_controller_port
 
     design = design_with_controller_port(arguments.design, arguments.port)
@@ -127,7 +127,7 @@ def run(arguments: Namespace) -> None:
 
 def _options(arguments: Namespace) -> RunOptions:
     """How a run goes, by the arguments. Raises RigError for what cannot be meant, before anything moves."""
-    from calib.api.plan_run_at_machine import RunOptions
+    from calib.api.execute_plan_at_machine import RunOptions
     from calib.files import calibration_file
 
     exposure, known, speed = arguments.exposure, arguments.calibration, arguments.in_motion

@@ -78,7 +78,7 @@ def run(arguments: Namespace) -> int:
 
 def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
     """Poses that a recording's frames were intended to take. Raises RigError where it shows several hands."""
-    from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
+    from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
     from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
     from rig.recording.recording_tables import load_poses
 

@@ -66,8 +66,8 @@ def run(arguments: Namespace) -> int:
 
     Exit status 3 where the verdict is bad.
     """
+    from calib.api.options_and_imported_data_of_why import WhyOptions
     from calib.api.why import why
-    from calib.api.why_options_and_data_import import WhyOptions
 
     progress = Progress()
     progress("reading the data", 0, 1)

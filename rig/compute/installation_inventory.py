@@ -46,7 +46,7 @@ def installation_inventory() -> list[InventoryItem]:
         InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[2]}"),
         InventoryItem("system", "ok", system),
         *installed_packages(),
-        check_opengl(),
+        check_opengl_drawing(),
         list_video_devices(),
         list_genicam_producers(),
         list_serial_ports_and_access_rights(),
@@ -97,8 +97,8 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", version)[:3])
 
 
-def check_opengl() -> InventoryItem:
-    """Whether OpenGL draws an image.
+def check_opengl_drawing() -> InventoryItem:
+    """Check of whether OpenGL draws an image, as an InventoryItem.
 
     Tried in a child process, since a broken driver ends its process.
     """

@@ -137,9 +137,9 @@ _say: Callable[[], None] | None = None  # to be called when something is compile
 
 @contextmanager
 def announce_compilation(callback: Callable[[], None]) -> Iterator[None]:
-    """Announce the first kernel compilation (context manager).
+    """Announce the first kernel compilation by calling `callback`.
 
-    In this process, by calling `callback`.
+    In this process, for as long as this context manager is open.
     """
     global _say
     before, _say = _say, callback
@@ -272,9 +272,9 @@ class Kernel:
 
 
 def njit(**options: Unpack[CompilerOptions]) -> Callable[[F], F]:
-    """Decorator like numba.njit that compiles on the first call.
+    """Decorator like numba.njit.
 
-    options : of numba.njit
+    It compiles on the first call. options : of numba.njit
     """
 
     def kernel(function: F) -> F:

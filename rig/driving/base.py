@@ -1,8 +1,14 @@
 """Base classes for a file of the user's own: a protocol with its emulator, a camera, or sensors."""
 
 from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, Frame, UserCamera
-from rig.driving.emulators.controller_emulator import LineEmulator
-from rig.driving.protocols.protocol_bases import Dialogue, LineProtocol, Segment, State, Verdict
+from rig.driving.emulators.controller_emulator_and_user_line_emulator import LineEmulator
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
+    Dialogue,
+    LineProtocol,
+    Segment,
+    State,
+    Verdict,
+)
 from rig.driving.user_classes_and_sensor_reader import UserSensors
 
 __all__ = [

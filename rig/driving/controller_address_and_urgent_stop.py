@@ -24,13 +24,14 @@ STOPS = {
     "gcs-hexapod": b"\x18",
     "linuxcnc": b"SET ABORT\r\n",
     "struts": b"!",
-    "epics": b"",  # which takes the names of the records, see epics_motor_record_stop_message
+    "epics": b"",  # which takes the names of the records, see epics_motor_record_stop_bytes
 }
 
 
-def epics_motor_record_stop_message(motors: Iterable[str]) -> bytes:
-    """Bytes that stop EPICS motor records, as a ChannelAccessPort takes them: all of those that are there.
+def epics_motor_record_stop_bytes(motors: Iterable[str]) -> bytes:
+    """Bytes that stop EPICS motor records.
 
+    As a ChannelAccessPort takes them: all of those that are there.
     What is not there is named when the protocol's own stop follows.
     """
     return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")
@@ -56,7 +57,7 @@ class ControllerAddress:
         """Bytes that stop it though nothing was sent to it before."""
         stop = self.stop
         if self.protocol == "epics":
-            return epics_motor_record_stop_message(self.axes)
+            return epics_motor_record_stop_bytes(self.axes)
         if self.protocol != "linuxcnc":
             return stop
         return f"HELLO {self.password} {CLIENT}\r\nSET ENABLE {self.enable_password}\r\n".encode() + stop

@@ -150,8 +150,10 @@ def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerStatus:
-    """activity : as rig.driving.protocols.protocol_bases.State; lengths : (n,) m; known : whether the lengths can
-    be believed; fault, controller_text : text; homing_required : as of a State"""
+    """activity : as rig.driving.protocols.protocol_interface_and_user_line_protocol.State
+    lengths : (n,) m; known : whether the lengths can be believed; fault, controller_text : text
+    homing_required : as of a State
+    """
 
     activity: str
     lengths: Floats

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport
-from rig.driving.protocols.protocol_bases import Segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Controller

@@ -26,7 +26,7 @@ from rig.driving.controller_status_and_limits import (
 )
 from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, straight_move_segment
 from rig.driving.ports_and_numbered_frames import open_port
-from rig.driving.protocols.protocol_bases import Dialogue, Segment, State, Verdict
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms

@@ -27,7 +27,7 @@ from rig.formats.local_and_remote_input_files import is_remote
 from rig.formats.numbers_and_units import parse_numbers
 from rig.formats.user_python_file import UserModule, line_in_file_of_error, line_of_class, run_user_file
 from rig.model.design import Design, SensorPort
-from rig.model.protocol_and_port_names import is_user_program
+from rig.model.protocol_and_port_names import is_user_file_or_package
 
 if TYPE_CHECKING:
     from rig.driving.request_and_answer_exchange_with_controller import Port
@@ -45,7 +45,7 @@ def refuse_programs_of_untrusted_rig_toml(path: Path, design: Design) -> None:
     """
     sources = [design.controller.protocol if design.controller else "", *(c.source or "" for c in design.cameras)]
     sources += [design.sensors.port] if design.sensors else []
-    programs = [stated for stated in sources if is_user_program(stated) or stated.startswith("command:")]
+    programs = [stated for stated in sources if is_user_file_or_package(stated) or stated.startswith("command:")]
     if not programs:
         return
     if is_remote(path):
@@ -251,4 +251,4 @@ def open_sensors(stated: SensorPort, clock: Clock) -> SensorReader:
 
     Raises LinkLost for a port, FileError or RigError for a program.
     """
-    return UserSensorReader(stated) if is_user_program(stated.port) else SensorReader(stated, clock)
+    return UserSensorReader(stated) if is_user_file_or_package(stated.port) else SensorReader(stated, clock)

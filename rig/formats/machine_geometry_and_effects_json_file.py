@@ -20,8 +20,8 @@ from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.local_and_remote_input_files import short_repr
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Camera, Design
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_stages, require_arm
 from rig.model.pose import pose, pose_to_vector
 

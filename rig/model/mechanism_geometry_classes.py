@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers, freeze_array, frozen_array
-from rig.model.hands_effect_places_and_tolerances import Branch, Hand, carried_joints, hand_number, joint_parents
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand, carried_joints, hand_number, joint_parents
 from rig.model.user_kinematics_file import KinematicsFile
 from rig.model.user_kinematics_file_checks import kinematics_of_source
 

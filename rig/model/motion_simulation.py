@@ -14,8 +14,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms import best_six_legs_and_loop_closures, hexapod, mechanism_chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,

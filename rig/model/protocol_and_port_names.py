@@ -36,8 +36,8 @@ def is_motor_record_name(name: str) -> bool:
     return re.fullmatch(r"[A-Za-z0-9_:;\[\]{}-]{1,60}", name) is not None
 
 
-def is_user_program(stated: str) -> bool:
-    """Whether a protocol or camera source is of the user's own.
+def is_user_file_or_package(stated: str) -> bool:
+    """Whether a stated protocol, camera source or sensor port is a user's own file or package.
 
     "file:mine.py" or "package:NAME".
     """

@@ -11,8 +11,8 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
+from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import require_one_hand
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm

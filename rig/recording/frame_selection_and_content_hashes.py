@@ -32,7 +32,7 @@ from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files.staged_folder_and_manifest import file_digest, load_manifest
-from rig.model.hands_effect_places_and_tolerances import hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import LIMB, Recording

@@ -16,6 +16,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilts import (
     GRAVITY,
     BaseTilt,
@@ -24,7 +25,6 @@ from rig.model.base_and_link_tilts import (
     times_resampled_for_small_tilt_steps,
 )
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS, Exposures, UnreadableImage, load_exposures
 from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses

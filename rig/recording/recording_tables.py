@@ -18,8 +18,8 @@ from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, read_csv_table
 from rig.formats.output_files import write_text
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design, Instrument
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
 from rig.recording.exposures_and_image_files import Exposures
 
@@ -82,8 +82,8 @@ VECTOR = ("x", "y", "z")
 UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
 
 
-def read_direction_table(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
-    """Table of directions read from a poses.csv.
+def read_poses_csv_of_directions(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
+    """Read a poses.csv of directions.
 
     form : of the file
     Returns (Table, unit vectors (n, 3)) of columns azimuth and elevation (rad), or x, y and z
@@ -287,7 +287,7 @@ def load_instrument_poses(
         alone = instrument is not None and instrument.rotation_sigma is None
         return load_poses(path, known_frames, alone, form=form, hands=hands)
     if kind == "direction":
-        rows, directions = read_direction_table(path, form)
+        rows, directions = read_poses_csv_of_directions(path, form)
         return Poses(frame_column(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))

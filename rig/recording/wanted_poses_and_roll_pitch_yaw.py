@@ -7,8 +7,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat, TimeOrigin, read_csv_table
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.design import Instrument
-from rig.model.hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.pose import roll_pitch_yaw, roll_pitch_yaw_sigmas
 from rig.recording.recording_tables import HAND, Poses, load_instrument_poses, load_poses, rows_of_hand, write_table
 

@@ -249,9 +249,9 @@ class OneLineRepr:
 
 
 def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
-    """HTML of a result for notebooks.
+    """HTML of a result.
 
-    Heading, sentences, a table whose first row is its header; text is escaped.
+    For notebooks. Heading, sentences, a table whose first row is its header; text is escaped.
     """
     parts = [f"<strong>{escape(heading)}</strong>", *(f"<p style='margin:.2em 0'>{escape(line)}</p>" for line in lines)]
     if table:

@@ -12,7 +12,7 @@ import numpy as np
 from rig.driving.clock import SystemClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.ports_and_numbered_frames import SerialPort
-from rig.driving.protocols.protocol_bases import Segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.strut_driver import Driver
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement

@@ -24,7 +24,7 @@ from calib.api.next_experiment import (
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import NAME
-from calib.experiment.platform_questions import open_questions_of_platform_diagnosis as questions
+from calib.experiment.platform_diagnosis_questions import open_questions_of_platform_diagnosis as questions
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml

@@ -211,7 +211,7 @@ def _limbs():
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load_recording(Path(folder) / "rec")
-        frames, lengths = measuring_limb_identification_and_agreement.limb_readings(read)
+        frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(read)
         samples, nominal = (
             measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
                 sample_recording(read).samples, frames, lengths

@@ -14,7 +14,7 @@ from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.native_strut_protocol import Struts
-from rig.driving.protocols.protocol_bases import Segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import MotionError
 

@@ -17,7 +17,7 @@ from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import FileError
-from rig.model import hands_effect_places_and_tolerances, motion_simulation
+from rig.model import arm_hands_effect_places_and_tolerances, motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import (
@@ -415,10 +415,10 @@ def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance()
         assert blind_cases.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
         assert (
             printed.name == "printing"
-            and np.std(printed.offsets) < hands_effect_places_and_tolerances.PLACES.sigma * 1.3
+            and np.std(printed.offsets) < arm_hands_effect_places_and_tolerances.PLACES.sigma * 1.3
             and np.any(printed.offsets)
         )
-        assert np.abs(printed.scales).max() < 6 * hands_effect_places_and_tolerances.SIDES.sigma
+        assert np.abs(printed.scales).max() < 6 * arm_hands_effect_places_and_tolerances.SIDES.sigma
         assert 0.0005 < t.noise < 0.05 and len(blind_cases.simulated_corners(t).frame) > 40
 
 

@@ -11,8 +11,8 @@ from scipy import special
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Marker
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import log
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.normal_equations_and_corner_jacobians import (
@@ -28,7 +28,7 @@ from vision.pose.pose_refinement_and_ambiguity_resolution import (
     MOST,
     neighbour_rotation_scatter,
     pose_from_neighbours,
-    rotation_angle,
+    rotation_angle_between_poses,
 )
 from vision.predict import MarkerMap, State, predict_corners
 
@@ -191,6 +191,6 @@ def _odd(m: Measured, t: Floats) -> dict[int, float]:
         return out
     for f, T in found.items():
         expected, limit = pose_from_neighbours(found, f, t, reach)
-        if expected is not None and limit < MOST and rotation_angle(expected, T) > max(2 * limit, MOST):
-            out[int(m.frames[f])] = float(np.degrees(rotation_angle(expected, T)))
+        if expected is not None and limit < MOST and rotation_angle_between_poses(expected, T) > max(2 * limit, MOST):
+            out[int(m.frames[f])] = float(np.degrees(rotation_angle_between_poses(expected, T)))
     return out

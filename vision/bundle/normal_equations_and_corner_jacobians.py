@@ -25,10 +25,10 @@ from vision.bundle.unknowns_estimate_and_printing_errors import (
 from vision.corner_observations import Observations, Whitener
 from vision.predict import (
     State,
+    base_points_in_camera_frame,
     iterate_observed_cameras,
     observed_points_base,
     observed_points_body,
-    points_in_camera_frame,
 )
 
 
@@ -139,7 +139,7 @@ def iterate_camera_jacobians(observations: Observations, state: State) -> Iterat
     base = observed_points_base(observations, state)
     for i, camera, rows in iterate_observed_cameras(observations, state):
         frame = observations.frame[rows]
-        ahead = points_in_camera_frame(base[rows], frame, state, i)
+        ahead = base_points_in_camera_frame(base[rows], frame, state, i)
         uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
         R_camera = state.moving.get(i, camera.pose).rotation.as_matrix().reshape(-1, 3, 3)
         J_base = rotate_jacobian(

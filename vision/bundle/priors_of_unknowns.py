@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
+from rig.model.arm_hands_effect_places_and_tolerances import SIDES, Place
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import SIDES, Place
 from rig.model.pose import skew
 from vision import lens
 from vision.bundle.unknowns_estimate_and_printing_errors import (

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.hands_effect_places_and_tolerances import PLACES, SIDES, Place
+from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES, Place
 from rig.model.pose import exp, log
 from vision.predict import MarkerMap, State
 

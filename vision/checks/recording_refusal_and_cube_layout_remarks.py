@@ -26,8 +26,8 @@ from vision.predict import MarkerMap, are_markers_placed, marker_map, markers_ex
 Notice = Callable[[str], None]
 
 
-def discard_notice(line: str) -> None:
-    """Discard a notice: the callback where nobody listens."""
+def ignore_notice(line: str) -> None:
+    """Ignore a notice: the callback where nobody listens, which does nothing."""
 
 
 def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice) -> None:

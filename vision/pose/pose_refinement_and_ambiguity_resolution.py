@@ -54,7 +54,7 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
             expected, limit = pose_from_neighbours(known, f, t, reach)
             if expected is None or not limit < MOST:
                 continue
-            miss = np.array([rotation_angle(expected, one) for one in candidates[f]])
+            miss = np.array([rotation_angle_between_poses(expected, one) for one in candidates[f]])
             order = np.argsort(miss)
             if miss[order[0]] <= limit and (miss[order[1:]] > max(limit, WORSE * miss[order[0]])).all():
                 fresh[f] = candidates[f][order[0]]
@@ -65,9 +65,11 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
 
 
 def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
-    """Rotation outliers {frame: reason} among solved poses (4, 4).
+    """Rotation outliers among solved poses (4, 4).
 
     Flips against well-predicted neighbours.
+    t : (F,) s
+    Returns {frame: reason}
     """
     reach = neighbour_rotation_scatter(solved_poses, t)
     odd: dict[int, str] = {}
@@ -76,10 +78,10 @@ def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
     for f, T in solved_poses.items():
         if None not in _near(solved_poses, f, t):
             expected, limit = pose_from_neighbours(solved_poses, f, t, reach)
-            if expected is not None and rotation_angle(expected, T) > max(2 * limit, MOST):
+            if expected is not None and rotation_angle_between_poses(expected, T) > max(2 * limit, MOST):
                 odd[f] = (
-                    f"it turns by {np.degrees(rotation_angle(expected, T)):.0f} degrees relative to the frames "
-                    "before and after"
+                    f"it turns by {np.degrees(rotation_angle_between_poses(expected, T)):.0f} degrees relative to the "
+                    "frames before and after"
                 )
     return odd
 
@@ -94,17 +96,20 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
     for f, T in solved_poses.items():
         before, after = _near(solved_poses, f, t)
         if before is not None and after is not None:
-            between.append(rotation_angle(_between(solved_poses, before, after, f, t), T) / (t[after] - t[before]) ** 2)
-            adjacent.append(rotation_angle(solved_poses[before], T) / (t[f] - t[before]))
+            between.append(
+                rotation_angle_between_poses(_between(solved_poses, before, after, f, t), T)
+                / (t[after] - t[before]) ** 2
+            )
+            adjacent.append(rotation_angle_between_poses(solved_poses[before], T) / (t[f] - t[before]))
     if len(between) < ENOUGH:
         return None
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(adjacent, 0.9))
 
 
 def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
-    """Pose (4, 4) of frame f from solved neighbours, and rad that it may be off.
+    """Pose of frame f from solved neighbours.
 
-    Returns (None, inf) without any
+    Returns (pose (4, 4), rad that it may be off), (None, inf) without any
     """
     before, after = _near(solved_poses, f, t)
     ways = [(scatter.adjacent * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
@@ -139,9 +144,9 @@ def _between(found: Poses, before: int, after: int, f: int, t: Floats) -> Floats
     return out
 
 
-def rotation_angle(a: Floats, b: Floats) -> float:
+def rotation_angle_between_poses(T_a: Floats, T_b: Floats) -> float:
     """Angle, rad, between the rotations of two poses (4, 4)."""
-    return float(np.arccos(np.clip((np.einsum("ij,ij", a[:3, :3], b[:3, :3]) - 1) / 2, -1, 1)))
+    return float(np.arccos(np.clip((np.einsum("ij,ij", T_a[:3, :3], T_b[:3, :3]) - 1) / 2, -1, 1)))
 
 
 GATE = 5.0  # standard deviations; beyond, a corner is an outlier

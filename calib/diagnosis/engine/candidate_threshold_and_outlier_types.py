@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.identify.bounded_least_squares_and_robust_fit import MOST
 from rig.array_and_json_types import Floats
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 Node = dict[str, Any]  # {parameter: value} of the nonlinear parameters, one node of a candidate's grid
 

@@ -29,7 +29,7 @@ from calib.diagnosis.engine.problem_interface import (
     UnfittedNodes,
 )
 from calib.diagnosis.engine.whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 TAKEN = 0.5  # of a smooth function's mean square, which it keeps at most beside a name that stands for the same
 LISTED = 3  # terms that the label of a search names
@@ -162,8 +162,8 @@ class Finding(Generic[C]):
     alternatives: list[Alternative[C]]
 
 
-def search_label(terms: Sequence[C]) -> str:
-    """Label of a search beside terms, which names what is found so far and not yet confirmed."""
+def search_label_of_unconfirmed_terms(terms: Sequence[C]) -> str:
+    """Label of a search beside terms found so far, which names them as not yet confirmed."""
     places = [f"{term.name} at {term.place}" for term in terms]
     more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
     return f"so far {', '.join(places[:LISTED])}{more}, not yet confirmed; searching on" if places else "searching"

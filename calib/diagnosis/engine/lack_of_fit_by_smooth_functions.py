@@ -20,7 +20,7 @@ from calib.diagnosis.engine.reduced_least_squares import (
     solve_with_prior,
 )
 from rig.array_and_json_types import Floats
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
 LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier

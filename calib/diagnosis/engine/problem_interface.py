@@ -16,7 +16,7 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Sele
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 Fit = TypeVar("Fit")
 Fit_contra = TypeVar("Fit_contra", contravariant=True)

@@ -23,7 +23,7 @@ from calib.diagnosis.engine.confirmation_against_alternatives import (
     Finding,
     confirm_terms,
     labelled_progress,
-    search_label,
+    search_label_of_unconfirmed_terms,
 )
 from calib.diagnosis.engine.linear_model import Projection, join_columns
 from calib.diagnosis.engine.problem_interface import (
@@ -172,7 +172,7 @@ def _steps(
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         model_size = problem.linear(model).size
-        candidates, label = admissible_candidates(problem, fit), search_label(problem.terms(fit))
+        candidates, label = admissible_candidates(problem, fit), search_label_of_unconfirmed_terms(problem.terms(fit))
         scores = problem.search(model, candidates, policy.delta_bic, labelled_progress(progress, label))
         scans.keep(problem.terms(fit), scores)
         fresh = [s for s in scores if _hypothesis_key(s) not in keys and not any(s.candidate is c for c in refused)]

@@ -114,9 +114,9 @@ class RequestedEffects:
 def require_assumed_effects_testable(
     stated_terms: StatedTerms, candidates: Sequence[Candidate], untestable_effects: Sequence[NotTested]
 ) -> StatedTerms:
-    """Require that the recording can test assumed effects, and return the stated terms.
+    """Require that the recording can test assumed effects.
 
-    Raises RigError otherwise.
+    Returns the stated terms. Raises RigError otherwise.
     """
     testable = {(c.name, c.place) for c in candidates}
     for name, place in stated_terms.assumed:

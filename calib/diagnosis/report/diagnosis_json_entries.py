@@ -213,8 +213,11 @@ class CovariateEntry:
     explains: dict[str, ShareEntry]
 
 
-def covariate_entries(covariates: list[Covariate]) -> tuple[CovariateEntry, ...]:
-    """Entries of ranked covariates, in their order."""
+def ranked_covariate_entries(covariates: list[Covariate]) -> tuple[CovariateEntry, ...]:
+    """Entries of ranked covariates.
+
+    In their order.
+    """
     return tuple(
         CovariateEntry(
             c.name,

@@ -85,7 +85,7 @@ def write_diagnosis_page(
         title = (
             diagnosis_texts.finding_title(finding)
             + diagnosis_texts.finding_size_text(finding)
-            + diagnosis_texts.stated_beforehand_text(finding)
+            + diagnosis_texts.assumed_or_seen_before_suffix(finding)
         )
         parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, machine_figures)]
     if slight:
@@ -95,7 +95,7 @@ def write_diagnosis_page(
         ]
     for finding in slight:
         title = diagnosis_texts.finding_title(finding) + diagnosis_texts.finding_size_text(finding)
-        parts += [heading_html(title + diagnosis_texts.stated_beforehand_text(finding), 3), *_slight(finding)]
+        parts += [heading_html(title + diagnosis_texts.assumed_or_seen_before_suffix(finding), 3), *_slight(finding)]
     shown = machine_figures.in_space()
     parts += [heading_html("In three dimensions"), *shown] if shown else []
     parts += [heading_html("What remains"), *_remaining(report, machine_figures)]

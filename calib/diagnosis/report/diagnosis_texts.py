@@ -88,8 +88,11 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
     return ""
 
 
-def stated_beforehand_text(finding: FindingEntry) -> str:
-    """Text " (assumed)" of a finding that the operator stated beforehand, else empty."""
+def assumed_or_seen_before_suffix(finding: FindingEntry) -> str:
+    """Suffix " (assumed)" or " (seen before)" of a finding, else empty.
+
+    Of one that the operator stated beforehand.
+    """
     return f" ({finding.said})" if finding.said else ""
 
 

@@ -30,7 +30,7 @@ from calib.report.pose_and_effect_figures import (
 )
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html

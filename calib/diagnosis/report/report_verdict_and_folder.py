@@ -33,7 +33,6 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     RemarkEntry,
     SuggestionEntry,
     Unexplained,
-    covariate_entries,
     effect_file_entries,
     entry_of_finding_before_search,
     finding_entry,
@@ -41,15 +40,16 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     largest_unexplained_part,
     misfit_before_and_after_entry,
     negligible_finding_remark_entries,
+    ranked_covariate_entries,
     recording_entries,
     suggested_formula_entries,
     unnamed_finding_entries,
 )
 from calib.diagnosis.report.diagnosis_texts import (
     as_sentence,
+    assumed_or_seen_before_suffix,
     finding_size_text,
     finding_title,
-    stated_beforehand_text,
     value_text,
 )
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
@@ -167,7 +167,7 @@ def summary_sentence(report: Report) -> str:
         clear = diagnosis_texts.nothing_found_sentence(report.crowd, report.noise_from, report.noise_times)
         return f"There is {left}." if left else clear
     main = report.mattering or report.named
-    lines = [f"{finding_title(f)}{finding_size_text(f)}{stated_beforehand_text(f)}" for f in main]
+    lines = [f"{finding_title(f)}{finding_size_text(f)}{assumed_or_seen_before_suffix(f)}" for f in main]
     fewer = len(report.named) - len(main)
     slight = "1 more is significant but changes" if fewer == 1 else f"{fewer} more are significant but change"
     lines += [f"{slight} held-out errors negligibly"] if fewer else []
@@ -293,7 +293,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         fits[diagnosis.shown_in],
         tuple(NotTestedEntry(s.effect, s.reason) for s in diagnosis.not_tested),
         tuple(negligible_finding_remark_entries(diagnosis)),
-        covariate_entries(diagnosis.covariates),
+        ranked_covariate_entries(diagnosis.covariates),
         diagnosis.options.operator_statements,
         recording_entries(diagnosis.parts),
         effect_file_entries(diagnosis.options.own),

@@ -15,7 +15,7 @@ from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
-from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, closures_in_metres
+from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import closure_residuals, closures_in_metres
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (

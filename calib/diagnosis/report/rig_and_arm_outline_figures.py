@@ -14,8 +14,8 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import Oper
 from calib.report.pose_and_effect_figures import closed_outline_sorted_by_angle
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains

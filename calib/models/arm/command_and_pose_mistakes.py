@@ -25,8 +25,8 @@ from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_po
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Instrument
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links

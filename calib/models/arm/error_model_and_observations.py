@@ -358,11 +358,11 @@ INDEPENDENT = 1e-7  # of a column's own length, m and rad alike, that must be le
 PARALLEL = float(np.cos(np.radians(5)))  # neighbouring axes nearer to parallel than this take beta for d
 
 
-def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
+def generally_independent_parameters(arm: Arm, observation_kind: str) -> Booleans:
     """Parameters (p,) bool of an Arm that a kind of observation determines independently in general.
 
-    kind : as of Observations. "In general": at configurations all over the limits, with the arm's own rows, and
-    instrument and target standing anywhere: where they really stand, what cannot be told there is for
+    observation_kind : as of Observations. "In general": at configurations all over the limits, with the arm's own rows,
+    and instrument and target standing anywhere: where they really stand, what cannot be told there is for
     calib.models.arm.error_model_and_observations
     """
     rng, (low, high) = np.random.default_rng(SEED), arm.limits.T
@@ -371,7 +371,7 @@ def generally_independent_parameters(arm: Arm, kind: str) -> Booleans:
         arm = replace(arm, hand=k).with_ends(base, tool)
     q = rng.uniform(low, high, (CONFIGURATIONS * max(len(arm.hands), 1), len(low)))
     hand = np.arange(len(q)) % len(arm.hands) if arm.hands else None
-    J = observation_jacobian(kind, parameter_jacobian(q, arm, hand), q, arm, hand)
+    J = observation_jacobian(observation_kind, parameter_jacobian(q, arm, hand), q, arm, hand)
     columns = J.reshape(-1, J.shape[-1])
     free, basis = np.zeros(columns.shape[1], bool), np.zeros((len(columns), 0))
     for k in _order(arm):

@@ -20,7 +20,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, tool_parameter_slice
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
-from rig.model.hands_effect_places_and_tolerances import selected_hand_name
+from rig.model.arm_hands_effect_places_and_tolerances import selected_hand_name
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import log

@@ -19,7 +19,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
 from rig.array_and_json_types import Floats, Json
-from rig.effects.catalogue.effect_list import deflection_under_link_weight, mass_moments_over_stiffness
+from rig.effects.catalogue.effect_list import deflection_under_link_weight, mass_and_moments_over_stiffness
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Design
@@ -140,10 +140,10 @@ def pointing_terms(design: Design, calibration: Calibration, commanded: Floats) 
 
 def _is_flexure(effect: Effect, arm: Arm) -> bool:
     """Whether an effect is the flexure of an Arm's tube, and nothing more."""
-    own, moments = tube_flexure_effect(arm), mass_moments_over_stiffness(effect)
+    own, moments = tube_flexure_effect(arm), mass_and_moments_over_stiffness(effect)
     if not own or not moments or effect.place != own[0].place:
         return False
-    return [bool(value) for value in moments] == [bool(value) for value in mass_moments_over_stiffness(own[0])]
+    return [bool(value) for value in moments] == [bool(value) for value in mass_and_moments_over_stiffness(own[0])]
 
 
 def pointing_terms_of_parameters(
@@ -171,7 +171,7 @@ def pointing_terms_of_parameters(
     values, spread = back @ _step(stated, fitted)[free], back @ covariance[np.ix_(free, free)] @ back.T
     sigma, lines = np.sqrt(np.diag(spread)), [ALIKE[mount]]
     if flexure is not None:
-        moments = np.array(mass_moments_over_stiffness(tube_flexure_effect(stated)[0])) / START
+        moments = np.array(mass_and_moments_over_stiffness(tube_flexure_effect(stated)[0])) / START
         loads = mechanism.link_weight_loads(mechanism.forward(visited, stated), visited, stated, gravity)
         joints = _moved(error_model_and_observations.joint_jacobian(visited, stated), visited, stated)[:, 1]
         sunk = -joints * np.repeat(loads[:, 1] @ moments, 3)

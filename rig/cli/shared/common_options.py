@@ -204,7 +204,7 @@ def add_speed_option(parser: ArgumentParser, usual: float) -> None:
     )
 
 
-def add_trust_unhomed_position_option(parser: ArgumentParser) -> None:
+def add_trust_option(parser: ArgumentParser) -> None:
     """Add the option --trust.
 
     Trust the position that the controller reports, though it was not homed.
@@ -248,7 +248,7 @@ def recording_of_chosen_hand(arguments: Namespace, recording: Recording) -> Reco
 
 def calibration_of_chosen_hand(arguments: Namespace, calibration: Calibration) -> Calibration:
     """The Calibration of the hand that is chosen. Raises RigError where there are several hands and none is chosen."""
-    from rig.model.hands_effect_places_and_tolerances import hand_names
+    from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 
     names = hand_names(calibration.correction.nominal)
     if names and arguments.hand is None:

@@ -24,9 +24,9 @@ CHECK_EVERY = 5  # poses between two checks by vision
 
 
 def add_recording_argument(parser: ArgumentParser, text: str | None = None) -> None:
-    """Add the recording argument REC, and the options that leave out frames or images.
+    """Add the recording argument REC.
 
-    text : help, or None.
+    And the options that leave out frames or images. text : help, or None
     """
     parser.add_argument("recording", metavar="REC", type=Path, help=text)
     _add_left_out(parser)

@@ -29,7 +29,7 @@ from rig.driving.cameras.opencv_camera import open_network_camera, open_opencv_c
 from rig.driving.clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
-from rig.model.protocol_and_port_names import is_user_program
+from rig.model.protocol_and_port_names import is_user_file_or_package
 from rig.recording.exposures_and_image_files import JPEG, PNG, image_file_problem, image_size_from_header, read_image
 
 EVERY = 0.02  # s between looks
@@ -220,7 +220,7 @@ def open_camera(camera: Camera, clock: Clock) -> Source:
         return open_network_camera(camera.name, camera.source, clock, size)
     if kind == "command":
         return CommandSource(camera, place, clock)
-    if is_user_program(camera.source):
+    if is_user_file_or_package(camera.source):
         return UserSource(camera, clock)
     if kind == "genicam":
         return open_genicam_camera(camera.name, place, clock, size, camera.capture)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
-from rig.driving.emulators.controller_emulator import Emulator, load_user_emulator
+from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator, load_user_emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes, parse_faults
 from rig.driving.emulators.epics import EpicsMotors
 from rig.driving.emulators.gcs import GCS, GCSHexapod
@@ -30,7 +30,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
-from rig.model.protocol_and_port_names import is_user_program
+from rig.model.protocol_and_port_names import is_user_file_or_package
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
@@ -103,7 +103,7 @@ def emulator_of_design(
     zero = home if c.protocol == "gcs-hexapod" else c.zero  # its poses count from home, whatever lengths are called 0
     machine = EmulatedMachine(axes, zero, home, faults, known=not c.homing)
     limits = m.strut_range - zero[:, None]
-    if is_user_program(c.protocol):
+    if is_user_file_or_package(c.protocol):
         return load_user_emulator(c.protocol)(machine, faults, clock, limits)
     if c.protocol == "grblhal":
         return GrblHAL(

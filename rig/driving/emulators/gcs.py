@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.controller_emulator import Emulator
+from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
 from rig.driving.protocols.gcs import AXES, HEXAPOD_UNITS, PIVOT, pose_of_gcs_values
 from rig.errors import NotConverged

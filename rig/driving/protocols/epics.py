@@ -9,11 +9,11 @@ from urllib.parse import unquote
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.controller_address_and_urgent_stop import epics_motor_record_stop_message
+from rig.driving.controller_address_and_urgent_stop import epics_motor_record_stop_bytes
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import NUMBERS
-from rig.driving.protocols.protocol_bases import (
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     TRIES,
     Dialogue,
@@ -48,13 +48,16 @@ EXACT = 1e-6  # share by which a figure may differ that a record reads back
 
 
 class Epics:
-    """See rig.driving.protocols.protocol_bases.Protocol. motors : names of the records, without a field"""
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
+
+    motors : names of the records, without a field
+    """
 
     name = "epics"
 
     def __init__(self, motors: tuple[str, ...]) -> None:
         self.motors, self.started_anew = motors, False
-        self.urgent_stop = epics_motor_record_stop_message(motors)
+        self.urgent_stop = epics_motor_record_stop_bytes(motors)
         self._unit, self._number = np.ones(len(motors)), 0
         self._homed = False
 

@@ -25,7 +25,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.protocol_bases import (
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     REST,
     TRIES,
@@ -66,8 +66,9 @@ ERRORS = {
 
 
 class GCS:
-    """See rig.driving.protocols.protocol_bases.Protocol. axes : the controller's names, () for the first `count`
-    that it lists itself.
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
+
+    axes : the controller's names, () for the first `count` that it lists itself
     """
 
     name = "gcs"
@@ -330,8 +331,9 @@ class PoseFrames:
 
 
 class GCSHexapod(GCS):
-    """See rig.driving.protocols.protocol_bases.Protocol; its positions are the struts' lengths.
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
 
+    Its positions are the struts' lengths.
     hexapod : the geometry by which the controller computes; zero : (6,) m, lengths that are called 0
     work : T_base_work, None for the platform at home; tool : T_platform_tool, None for the platform itself
     """

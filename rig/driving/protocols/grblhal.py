@@ -17,7 +17,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.protocol_bases import (
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     Dialogue,
     Exchange,
@@ -106,7 +106,10 @@ ALARMS = {
 
 
 class GrblHAL:
-    """See rig.driving.protocols.protocol_bases.Protocol. axes : letters of the axes, in the struts' order."""
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
+
+    axes : letters of the axes, in the struts' order
+    """
 
     name = "grblhal"
     urgent_stop = STOPS["grblhal"]

@@ -17,7 +17,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.controller_address_and_urgent_stop import CLIENT, STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.protocol_bases import (
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     REST,
     Dialogue,
@@ -39,8 +39,9 @@ _NUMBER = r"-?\d+\.\d+"
 
 
 class LinuxCNC:
-    """See rig.driving.protocols.protocol_bases.Protocol. axes : letters, in the struts' order; kinematics : "joint"
-    or "world".
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
+
+    axes : letters, in the struts' order; kinematics : "joint" or "world"
     """
 
     name = "linuxcnc"

@@ -10,7 +10,7 @@ import numpy as np
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.ports_and_numbered_frames import Frame, encode_frame, last_valid_frame_in_line
-from rig.driving.protocols.protocol_bases import (
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     TRIES,
     Dialogue,
     Exchange,
@@ -45,8 +45,9 @@ FAULTS = {
 
 
 class Struts:
-    """See rig.driving.protocols.protocol_bases.Protocol. count : axes; watchdog : s of silence after which the
-    controller stops.
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
+
+    count : axes; watchdog : s of silence after which the controller stops
     """
 
     name = "struts"

@@ -14,7 +14,7 @@ from rig.driving.protocols.gcs import GCS, GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.native_strut_protocol import Struts
-from rig.driving.protocols.protocol_bases import (
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Dialogue,
     LineProtocol,
     Protocol,
@@ -28,7 +28,7 @@ from rig.formats.user_python_file import literal_in_class_body, read_user_text
 from rig.model.design import Controller
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts as StrutMechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.protocol_and_port_names import is_user_program
+from rig.model.protocol_and_port_names import is_user_file_or_package
 
 P = ParamSpec("P")
 GROUP = "rig.protocols"  # of entry points
@@ -50,7 +50,7 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
     Raises ValueError for a protocol that there is not, FileError and RigError for a program that cannot be used
     """
     axis_count = len(mechanism.axes)
-    if is_user_program(controller.protocol):
+    if is_user_file_or_package(controller.protocol):
         return load_user_protocol(controller, axis_count)
     if controller.protocol == "grblhal":
         return GrblHAL(controller.axes or tuple("XYZABC"[:axis_count]))

@@ -9,8 +9,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)

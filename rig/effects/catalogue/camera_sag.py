@@ -13,9 +13,9 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Linear, Parameter
 from rig.errors import RigError
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.base_and_link_tilts import GRAVITY, has_gravity_sensor_channels, logged_gravity
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import Place
 
 WEIGHT = 9.80665  # m/s^2, for which `yields` is stated
 TURNS = 0.02  # of it, RMS, from which a component of gravity is asked for

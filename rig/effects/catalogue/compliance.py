@@ -23,7 +23,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
 )
 from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 HEAVIEST, LIGHTER, OFF_CENTRE = (

@@ -20,7 +20,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Parameter,
     quadrature_columns,
 )
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves
 ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows

@@ -9,8 +9,8 @@ from typing import ClassVar
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
+from rig.model.arm_hands_effect_places_and_tolerances import FINDER, Place
 from rig.model.design import Camera, move_edges_inward
-from rig.model.hands_effect_places_and_tolerances import FINDER, Place
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter, replace_axis_placeholder_in_text
 from rig.errors import FileError
 from rig.formats.numbers_and_units import range_text
-from rig.model.hands_effect_places_and_tolerances import AXES, Tolerance
+from rig.model.arm_hands_effect_places_and_tolerances import AXES, Tolerance
 
 ALL: tuple[type[Effect], ...] = (
     ScaleError,
@@ -143,10 +143,10 @@ def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effe
     return Compliance(place, moments=moments)
 
 
-def mass_moments_over_stiffness(effect: Effect) -> tuple[float, ...]:
-    """Mass and mass moments over the stiffness of a `deflection_under_link_weight`.
+def mass_and_moments_over_stiffness(effect: Effect) -> tuple[float, ...]:
+    """Mass and mass moments over stiffness of an effect.
 
-    None of any other effect.
+    Of a `deflection_under_link_weight`; none of any other effect.
     """
     return effect.moments if isinstance(effect, Compliance) else ()
 

@@ -11,7 +11,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Parameter,
     markers_with_replaced_columns,
 )
-from rig.model.hands_effect_places_and_tolerances import PLACES, Place
+from rig.model.arm_hands_effect_places_and_tolerances import PLACES, Place
 from rig.model.pose import displace_selected_poses, exp
 
 

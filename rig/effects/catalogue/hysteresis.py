@@ -1,6 +1,6 @@
-"""Hysteresis of a strut or joint, from friction and springs in its drive.
+"""Hysteresis of a strut or joint.
 
-Nested loops that do not saturate at one gap.
+From friction and springs in its drive: nested loops that do not saturate at one gap.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     travel_covariate,
 )
 from rig.effects.framework.shared_effect_laws import WeightedSum, member_weights_parameter
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum
 LOST, LOST_TURN = (2e-6, 5e-5), (1e-5, 1e-3)  # m, rad: what rigs lose between the two directions

@@ -1,6 +1,6 @@
-"""Joint offset: a cardan joint's two axes do not meet.
+"""Joint offset between the two axes of a cardan joint.
 
-The strut's end moves as the joint turns; this is no zero offset.
+They do not meet: the strut's end moves as the joint turns; this is no zero offset.
 """
 
 from dataclasses import dataclass

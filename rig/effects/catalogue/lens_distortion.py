@@ -19,8 +19,8 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Parameter,
     log_uniform,
 )
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, chebyshev_products, image_warp_columns
-from rig.model.hands_effect_places_and_tolerances import Place
 
 LACKING = {
     "thin prism": (8, 9, 10, 11),

@@ -16,7 +16,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     draw_scalar_parameter,
     markers_with_replaced_columns,
 )
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 CORNERS = 4
 

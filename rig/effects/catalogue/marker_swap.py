@@ -1,4 +1,7 @@
-"""Marker swap: two faces' markers are exchanged, or one is glued on turned."""
+"""Marker swap: two faces' markers are exchanged.
+
+Or one is glued on turned.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +16,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Parameter,
     markers_with_replaced_columns,
 )
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.pose import displace_selected_poses, exp
 
 

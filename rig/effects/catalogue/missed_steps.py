@@ -12,7 +12,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter, time_covariate
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True)

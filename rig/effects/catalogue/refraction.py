@@ -14,8 +14,8 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Parameter,
     draw_scalar_parameter,
 )
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import Place
 
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others

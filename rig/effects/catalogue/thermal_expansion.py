@@ -19,7 +19,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     c_channel_expression,
     temperature_covariate,
 )
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 AMBIENT = "ambient_temperature_C"
 LAGS = 8  # that a search tries

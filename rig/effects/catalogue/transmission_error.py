@@ -25,7 +25,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     numerical_derivative_step,
     travel_covariate,
 )
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 KNOTS = (5, 9, 14, 24)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile

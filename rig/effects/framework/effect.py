@@ -36,8 +36,8 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     parameter_values,
 )
 from rig.errors import RigError
+from rig.model.arm_hands_effect_places_and_tolerances import AXES, Place, Tolerance, axis_mask
 from rig.model.design import Camera
-from rig.model.hands_effect_places_and_tolerances import AXES, Place, Tolerance, axis_mask
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 MOTION_STAGES, LINEAR = ("command", "struts", "structure"), ("linear", "inverse")  # stages; roles of parameters

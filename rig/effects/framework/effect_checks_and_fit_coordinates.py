@@ -13,7 +13,7 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.formats.checked_entries import NAME
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.model.hands_effect_places_and_tolerances import AXES, NUMBER, Place
+from rig.model.arm_hands_effect_places_and_tolerances import AXES, NUMBER, Place
 
 MOST = 1000  # numbers of a parameter of any length
 

@@ -14,8 +14,8 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.recording.recording_folder import Sensors
 
 

@@ -16,7 +16,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, Context, Linear, Node, Parameter
-from rig.model.hands_effect_places_and_tolerances import AXES
+from rig.model.arm_hands_effect_places_and_tolerances import AXES
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own load")

@@ -17,7 +17,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import effect_name_pro
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
-from rig.model.hands_effect_places_and_tolerances import AXES
+from rig.model.arm_hands_effect_places_and_tolerances import AXES
 
 WIDTH = 145  # characters of a line
 MOST = {"m": 1e-2, "rad": 0.1}  # that a term may come to

@@ -27,8 +27,8 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import parse_number
 from rig.formats.user_python_file import UserModule, line_in_file_of_error, line_of_class, read_user_text, run_user_text
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import AXES, Place, parse_place_in_stage
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import AXES, Place, parse_place_in_stage
 
 Kinds = Mapping[str, type[Effect]]  # effects by their names
 

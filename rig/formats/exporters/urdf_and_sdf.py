@@ -29,7 +29,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.hands_effect_places_and_tolerances import Hand
+from rig.model.arm_hands_effect_places_and_tolerances import Hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.pose import pose
 

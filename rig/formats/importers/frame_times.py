@@ -35,11 +35,12 @@ LISTED = 20  # of what is missing, in a message
 Like = Callable[[Floats], bool]
 
 
-def exposures_with_times(
+def exposures_timed_by_names_table_or_commands(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, are_plausible: Like
 ) -> tuple[ImportedExposures, Recipe]:
-    """Exposures with times: of their names, of a table of frames, or of the commands' rows, one for one.
+    """Exposures with times: of their names, of a table of frames, or of the commands' rows.
 
+    The commands' rows are those of the frames one for one.
     are_plausible : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
     """
     if recipe.frames is not None:

@@ -26,8 +26,8 @@ from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms import kinematics_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes
 from rig.model.pose import poses_pointing_along

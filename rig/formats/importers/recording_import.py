@@ -27,7 +27,7 @@ from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.frame_times import (
     LISTED,
     Like,
-    exposures_with_times,
+    exposures_timed_by_names_table_or_commands,
     require_one_clock,
     seconds_since_origin,
 )
@@ -148,7 +148,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         else None
     )
     if exposed is not None:
-        exposed, recipe = exposures_with_times(exposed, commanded, recipe, like)
+        exposed, recipe = exposures_timed_by_names_table_or_commands(exposed, commanded, recipe, like)
         exposed = _usable(exposed, design, skip_unreadable)
     posed = None
     if recipe.poses is not None:

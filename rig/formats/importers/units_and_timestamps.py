@@ -82,25 +82,25 @@ def split_header(header: str) -> tuple[str, str | None]:
     """
     found = BRACKETS.match(header)
     if found and found[1]:
-        return found[1].strip(), parse_unit(found[2])
+        return found[1].strip(), known_unit_or_none(found[2])
     found = TAIL.match(header)
     if (
         found
-        and parse_unit(found[2]) is not None
+        and known_unit_or_none(found[2]) is not None
         and not (len(found[2]) == 1 and found[2].upper() == found[2] and "temp" not in header.lower())
     ):
-        return found[1].rstrip("_/ "), parse_unit(found[2])
+        return found[1].rstrip("_/ "), known_unit_or_none(found[2])
     return header, None
 
 
 def unrecognised_unit_of_header(header: str) -> str | None:
     """The word in brackets at the end of a header, where it is no unit; else None."""
     found = BRACKETS.match(header)
-    return found[2] if found and found[1] and parse_unit(found[2]) is None else None
+    return found[2] if found and found[1] and known_unit_or_none(found[2]) is None else None
 
 
-def parse_unit(word: str) -> str | None:
-    """The unit that a word means, or None."""
+def known_unit_or_none(word: str) -> str | None:
+    """The unit that a word means, or None where it means none."""
     word = word.strip()
     if word in (*ALL, *TIMES, *OTHER):
         return word

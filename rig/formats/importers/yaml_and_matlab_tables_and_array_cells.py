@@ -239,8 +239,9 @@ def is_matlab(path: Path) -> bool:
 
 
 def read_yaml_rows(path: Path, section: str) -> FileRows:
-    """FileRows of a YAML file: a list of tables, or tables of lists that are equally long.
+    """FileRows of a YAML file.
 
+    It has a list of tables, or tables of lists that are equally long.
     section : key of the list that is meant, where a file has several
     Raises FileError, with the line, for what is neither, and for a row that lacks a key or has another
     """

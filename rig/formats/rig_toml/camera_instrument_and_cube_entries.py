@@ -28,7 +28,7 @@ from rig.model.design import (
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube, parse_cube_turn_permission
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.model.pose import pose_to_vector
-from rig.model.protocol_and_port_names import USER_PROGRAMS, is_user_program
+from rig.model.protocol_and_port_names import USER_PROGRAMS, is_user_file_or_package
 
 LARGEST_IMAGE = 100_000  # px along a side
 NETWORK = ("http", "https", "rtsp")  # of cameras that a URL names
@@ -201,7 +201,7 @@ def _source(table: Entries) -> str | None:
             "source",
             value=source,
         )
-    return user_program_entry(table, "source", source) if is_user_program(source) else source
+    return user_program_entry(table, "source", source) if is_user_file_or_package(source) else source
 
 
 INSTRUMENT_KINDS = ("pose", "orientation", "distance", "direction")

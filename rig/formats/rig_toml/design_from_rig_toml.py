@@ -45,7 +45,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_hexapod,
     is_redundant,
 )
-from rig.model.protocol_and_port_names import is_motor_record_name, is_user_program, port_problem
+from rig.model.protocol_and_port_names import is_motor_record_name, is_user_file_or_package, port_problem
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -207,7 +207,7 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
 
 def _protocol(table: Entries) -> str:
     stated = table.text("protocol")
-    if is_user_program(stated):
+    if is_user_file_or_package(stated):
         return user_program_entry(table, "protocol", stated)
     if stated not in PROTOCOLS:
         table.refuse("protocol", f"one of {', '.join(map(repr, PROTOCOLS))}, file:NAME.py or package:NAME", stated)
@@ -280,7 +280,7 @@ def _sensors(table: Entries) -> SensorPort:
             value=channels,
         )
     stated = table.text("port")
-    port = user_program_entry(table, "port", stated) if is_user_program(stated) else _port(table)
+    port = user_program_entry(table, "port", stated) if is_user_file_or_package(stated) else _port(table)
     return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 

@@ -14,9 +14,9 @@ from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, two_strut_plane_of_table
-from rig.model.hands_effect_places_and_tolerances import Branch, Hand, hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
-from rig.model.mechanisms.file_mechanism import nominal_mechanism
+from rig.model.mechanisms.file_mechanism import nominal_mechanism_of_kinematics_file
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, target_bodies
 
 UNSUITED = {
@@ -102,8 +102,11 @@ def hands_of_tables(table: Entries, joint_count: int, branches: tuple[Branch, ..
     return tuple(out)
 
 
-def branch_and_hand_dicts(branches: tuple[Branch, ...], hands: tuple[Hand, ...]) -> Json:
-    """The tables of branches and hands as JSON holds them, which the functions above read; nothing of one hand."""
+def branch_and_hand_json(branches: tuple[Branch, ...], hands: tuple[Hand, ...]) -> Json:
+    """The tables of branches and hands as JSON holds them.
+
+    The functions above read them; nothing of one hand.
+    """
     if not hands:
         return {}
     listed = []
@@ -297,7 +300,7 @@ def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
         table.fail(f"{table.name(key)} names a Python file beside this one, such as file:delta.py, not {name!r}", key)
     path = table.file.parent / name
     source = read_text(path, LARGEST_SOURCE, f"no such file, which {table.name(key)} of {table.file} names")
-    return nominal_mechanism(str(path), source)
+    return nominal_mechanism_of_kinematics_file(str(path), source)
 
 
 def write_kinematics_file(folder: Path, mechanism: Mechanism) -> None:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError, Unreachable
-from rig.model.hands_effect_places_and_tolerances import carried_joints
+from rig.model.arm_hands_effect_places_and_tolerances import carried_joints
 from rig.model.mechanism_geometry_classes import Arm
 
 AXIS, UNIT = "joint", "rad"

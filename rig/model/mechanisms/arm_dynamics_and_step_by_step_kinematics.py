@@ -1,6 +1,7 @@
-"""Arm dynamics, and forward kinematics written out step by step.
+"""Arm dynamics, and kinematics step by step.
 
-Joint torques, weights, mass matrix, momentum rate; the steps are for a reader.
+Joint torques, weights, mass matrix, momentum rate. Forward and inverse kinematics are written out; the steps are for a
+reader.
 
 Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there
     too).

@@ -62,9 +62,10 @@ def actuated_struts(hexapod: Hexapod) -> Integers:
     return np.setdiff1d(np.arange(len(hexapod.axes)), hexapod.followers)
 
 
-def nearest_compatible_strut_lengths(lengths: Floats, hexapod: Hexapod, fill: float = 1.0) -> Floats:
-    """Lengths (n, struts) m near given ones that close on one pose, within the middle `fill` of the strut range.
+def nearest_compatible_strut_lengths(lengths: Floats, hexapod: Hexapod, middle_range_share: float = 1.0) -> Floats:
+    """Lengths (n, struts) m near given ones that close on one pose.
 
+    They are within the middle share `middle_range_share` of the strut range.
     Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those
     that would leave the range, or close on nothing, are brought nearer to its middle. Raises NotConverged where none do
     """
@@ -79,7 +80,7 @@ def nearest_compatible_strut_lengths(lengths: Floats, hexapod: Hexapod, fill: fl
             some = going[error.index]
             wanted[some] = middle + INWARDS * (wanted[some] - middle)
             continue
-        within = middle + (out[going] - middle) / fill
+        within = middle + (out[going] - middle) / middle_range_share
         going = going[kinematics.signed_limit_excess(within, hexapod).any(axis=1)]
         if not len(going):
             return out

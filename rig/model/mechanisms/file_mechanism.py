@@ -32,7 +32,7 @@ MAX_MOVE, MAX_TURN = 0.2, 0.4  # of the distance of home from the base's origin;
 LEAST_REACH = 0.05  # m, which that distance counts as at least
 
 
-def nominal_mechanism(file: str, source: str) -> FileMechanism:
+def nominal_mechanism_of_kinematics_file(file: str, source: str) -> FileMechanism:
     """The mechanism of a kinematics file as its owner believes it.
 
     Raises FileError for a file that cannot be used.

@@ -25,7 +25,10 @@ def inverse(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
 
 
 def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
-    """Jacobian (..., 2, 6) of the strut lengths with the pose's tangent on the right."""
+    """Jacobian of the strut lengths.
+
+    Returns (..., 2, 6), by the pose's tangent on the right
+    """
     matrix = T_base_platform.as_matrix()
     struts = matrix[..., None, :2, 3] - planar.base_joints
     u = np.zeros((*struts.shape[:-1], 3))

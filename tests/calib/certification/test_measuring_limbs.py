@@ -22,7 +22,7 @@ from tests.calib.noisy_samples import rms
 def measured(limbed):
     """(Samples whose commands are the readings, the limbs as stated, all frames, all readings)."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(read)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(read)
     return (
         measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
             sample_recording(read).samples, frames, lengths
@@ -141,13 +141,13 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
     with pytest.raises(RigError, match=r"no \[insitu\] table"):
         measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design)
     with pytest.raises(RigError, match="'m3' is missing"):
-        measuring_limb_identification_and_agreement.limb_readings(
+        measuring_limb_identification_and_agreement.limb_readings_at_exposures(
             replace(
                 read, sensors=Sensors(read.sensors.t, {k: v for k, v in read.sensors.channels.items() if k != "m3"})
             )
         )
     with pytest.raises(RigError, match="there is no sensors.csv"):
-        measuring_limb_identification_and_agreement.limb_readings(replace(read, sensors=None))
+        measuring_limb_identification_and_agreement.limb_readings_at_exposures(replace(read, sensors=None))
     sparse = Sensors(
         np.arange(0.0, 2000.0, 30.0) + 0.123,
         {
@@ -156,7 +156,7 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
         },
     )
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
-        measuring_limb_identification_and_agreement.limb_readings(replace(read, sensors=sparse))
+        measuring_limb_identification_and_agreement.limb_readings_at_exposures(replace(read, sensors=sparse))
     (tmp_path / "rig.toml").write_text(
         hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)).replace(
             "length_sigma = 1e-6", "length_sigma = -1"

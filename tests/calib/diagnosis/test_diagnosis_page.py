@@ -21,7 +21,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
 from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_tables import write_poses

@@ -16,8 +16,8 @@ from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, summary_sentence
 from calib.samples.pose_samples import sample_recording
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Arm
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Poses
 from rig.report.verdict_refutations_and_result_display import State

@@ -31,7 +31,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import load_effect_fil
 from rig.errors import FileError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from tests.calib import unlisted_laws
 from tests.calib.diagnosis.test_arm_diagnosis import recorded as arm_recorded
 from tests.calib.recordings_with_effects import recorded

@@ -24,7 +24,7 @@ from calib.diagnosis.problems.arm.scores_of_all_candidates import (
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter, robust_weights
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from tests.calib import secret_arms
 from tests.rig.arms import UR10
 

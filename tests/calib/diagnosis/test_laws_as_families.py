@@ -8,7 +8,7 @@ from scipy.optimize import lsq_linear
 
 from calib.diagnosis.engine.reduced_least_squares import Normal, solve_nonnegative
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.recording.recording_folder import load_recording
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.truth import case as cases

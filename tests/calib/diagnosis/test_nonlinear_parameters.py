@@ -7,7 +7,7 @@ import pytest
 
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.finding_parameters import term_parameter_covariance
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import term_parameter_covariance
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects

@@ -12,7 +12,10 @@ from calib.diagnosis.engine import problem_interface as interface
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.finding_parameters import _under, term_errors_by_temperature_logs
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
+    _under,
+    term_errors_by_temperature_logs,
+)
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
     NO_CORNERS,
     POSES_ALONE,

@@ -18,7 +18,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
     effect_parameter_directions,
     platform_candidates,
 )
-from calib.diagnosis.problems.platform.lack_of_fit import find_lack_of_fit_by_place
+from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import find_lack_of_fit_by_place
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, linearise
 from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
@@ -26,7 +26,7 @@ from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder

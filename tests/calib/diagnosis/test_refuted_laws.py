@@ -9,7 +9,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import oper
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_effects_and_corner_noise

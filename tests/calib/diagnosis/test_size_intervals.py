@@ -26,7 +26,7 @@ from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.model.hands_effect_places_and_tolerances import SIDES
+from rig.model.arm_hands_effect_places_and_tolerances import SIDES
 from synthetic import blind_cases
 from tests.calib.recordings_with_effects import recorded
 

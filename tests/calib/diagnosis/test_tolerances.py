@@ -23,7 +23,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
 )
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
-from rig.model.hands_effect_places_and_tolerances import PLACES, SIDES, Place
+from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES, Place
 from synthetic import blind_cases
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded

@@ -14,7 +14,10 @@ from calib.experiment.experiment_questions_and_information import (
     discriminating_configurations,
     most_informative_exposures,
 )
-from calib.experiment.platform_questions import PlatformQuestion, predicted_outcomes_of_two_likeliest_hypotheses
+from calib.experiment.platform_diagnosis_questions import (
+    PlatformQuestion,
+    predicted_outcomes_of_two_likeliest_hypotheses,
+)
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.planning.plan import build_plan
 from tests.calib.recordings_with_effects import recorded

@@ -32,7 +32,7 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings(read)
+    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(read)
     samples, nominal = (
         measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(by_vision, frames, lengths),
         measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
@@ -179,7 +179,8 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
     design, read, _ = limbed
     for by in (0.0, 3e-5):
         samples = measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
-            by_vision, *measuring_limb_identification_and_agreement.limb_readings(slipped(read, limb, by, at))
+            by_vision,
+            *measuring_limb_identification_and_agreement.limb_readings_at_exposures(slipped(read, limb, by, at)),
         )
         limbs, _ = measuring_limb_identification_and_agreement.calibrate_limbs(
             samples, measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design), 1e-6

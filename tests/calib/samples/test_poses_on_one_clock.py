@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
-    recording_and_poses_on_one_clock,
+    recording_and_poses_on_commands_clock,
 )
 from calib.samples.pose_samples import sample_recording
 from rig.recording.recording_folder import load_recording
@@ -17,7 +17,7 @@ def test_commands_are_taken_when_the_exposures_truly_were(tmp_path):
     case, truth = write_moving_recording(tmp_path, OFFSET, np.array([0.0, 0.021, 0.013]), SPEED)
     recording = load_recording(tmp_path)
     sampled = sample_recording(recording)
-    moved, message = recording_and_poses_on_one_clock(
+    moved, message = recording_and_poses_on_commands_clock(
         recording, sampled, estimate_clocks_from_samples(recording, sampled.samples)
     )
     wanted = case.machine.inverse(truth)[sampled.samples.frame]
@@ -26,4 +26,4 @@ def test_commands_are_taken_when_the_exposures_truly_were(tmp_path):
     np.testing.assert_allclose(message.samples.t - sampled.samples.t, OFFSET, atol=2e-4)
     np.testing.assert_allclose(moved.exposures.t - recording.exposures.t, OFFSET, atol=2e-4)
     assert (message.samples.conditions.t == message.samples.t).all()
-    assert recording_and_poses_on_one_clock(recording, sampled, ()) == (recording, sampled)
+    assert recording_and_poses_on_commands_clock(recording, sampled, ()) == (recording, sampled)

@@ -207,7 +207,9 @@ def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
 
 def test_doctor_tells_what_is_missing(capsys, monkeypatch):
     monkeypatch.setattr(
-        installation_inventory, "check_opengl", lambda: installation_inventory.InventoryItem("OpenGL", "absent", "none")
+        installation_inventory,
+        "check_opengl_drawing",
+        lambda: installation_inventory.InventoryItem("OpenGL", "absent", "none"),
     )
     assert main(["doctor"]) == 0
     text = capsys.readouterr().out
@@ -256,7 +258,7 @@ def test_doctor_names_cameras_without_opening_them(tmp_path):
 
 def test_graphics_that_break_are_absent(monkeypatch):
     monkeypatch.setattr(installation_inventory, "CONTEXT", "import os; os.abort()")
-    assert installation_inventory.check_opengl().state == "absent"
+    assert installation_inventory.check_opengl_drawing().state == "absent"
 
 
 def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):

@@ -20,7 +20,7 @@ SAME = 2e-6  # m; the controller is told micrometres
 
 @pytest.fixture
 def emulated(tmp_path):
-    import calib.api.plan_run_at_machine  # noqa: F401  (so that forked runners need not)
+    import calib.api.execute_plan_at_machine  # noqa: F401  (so that forked runners need not)
 
     made = EmulatedRig(tmp_path)
     yield made

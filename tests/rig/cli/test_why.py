@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import calib
+from calib.api.options_and_imported_data_of_why import recording_and_whether_noise_is_assumed
 from calib.api.why import _repeats
-from calib.api.why_options_and_data_import import recording_and_whether_noise_is_assumed
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.backlash import Backlash
-from rig.model.hands_effect_places_and_tolerances import Place, axis_mask, parse_place_in_stage
+from rig.model.arm_hands_effect_places_and_tolerances import Place, axis_mask, parse_place_in_stage
 
 PLACES = {
     "strut 3": Place("strut", "3"),

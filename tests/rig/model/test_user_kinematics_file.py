@@ -11,7 +11,7 @@ from rig.errors import FileError, NotConverged, Unreachable
 from rig.model.mechanisms import kinematics_of
 from rig.model.mechanisms.file_mechanism import (
     loop_closure_parameter_jacobian,
-    nominal_mechanism,
+    nominal_mechanism_of_kinematics_file,
     with_scaled_parameters,
 )
 from rig.model.pose import exp, pose, pose_difference
@@ -42,7 +42,10 @@ def forward(values, p):
 
 
 def test_a_file_with_and_without_forward_is_the_same_machine():
-    plain, both = nominal_mechanism("g.py", GANTRY), nominal_mechanism("g.py", GANTRY + FORWARD)
+    plain, both = (
+        nominal_mechanism_of_kinematics_file("g.py", GANTRY),
+        nominal_mechanism_of_kinematics_file("g.py", GANTRY + FORWARD),
+    )
     assert plain.stated.batched and not both.stated.forward_batched and both.stated.has_forward
     moved = [with_scaled_parameters(one, np.array([1e-3, -2e-3, 5e-4, 4e-3])) for one in (plain, both)]
     assert moved[0].parameters[3] == pytest.approx(4e-3 / 5e-4 * 1e-3)  # a tolerance of 1 mrad counts as 0.5 mm
@@ -54,7 +57,7 @@ def test_a_file_with_and_without_forward_is_the_same_machine():
 
 
 def test_coordinates_that_are_no_freedoms_are_those_of_home():
-    m = nominal_mechanism("g.py", GANTRY)
+    m = nominal_mechanism_of_kinematics_file("g.py", GANTRY)
     tilted = pose([0.1, 0.0, 0.05], [0.2, 0.1, 0.3])
     assert np.allclose(kinematics_of(m).inverse(tilted, m), [0.1, 0.0, 0.05])
     level = kinematics_of(m).forward(kinematics_of(m).inverse(tilted, m), m)
@@ -79,7 +82,7 @@ def test_a_function_of_one_pose_is_called_pose_by_pose():
     one = GANTRY.replace(
         "    x, y, z = pose[..., 0, 3]", "    assert pose.shape == (4, 4)\n    x, y, z = pose[..., 0, 3]"
     )
-    m = nominal_mechanism("g.py", one)
+    m = nominal_mechanism_of_kinematics_file("g.py", one)
     assert not m.stated.batched
     values = np.random.default_rng(0).uniform(-0.1, 0.1, (2, 3, 3))
     assert np.abs(kinematics_of(m).inverse(kinematics_of(m).forward(values, m), m) - values).max() < 1e-12
@@ -87,7 +90,7 @@ def test_a_function_of_one_pose_is_called_pose_by_pose():
 
 def test_forward_kinematics_asks_a_slow_function_for_few_poses():
     """A function of one pose is what takes the time: Newton's derivatives take 24 of them for each pose."""
-    m = nominal_mechanism("cranks.py", (EXAMPLES / "cranks.py").read_text())
+    m = nominal_mechanism_of_kinematics_file("cranks.py", (EXAMPLES / "cranks.py").read_text())
     function, asked = m.stated.module.inverse, []
 
     def counted(poses, p):
@@ -118,13 +121,15 @@ def test_an_error_of_math_is_a_pose_out_of_reach():
     scalar = "import math\n" + GANTRY.replace(
         "    x, y, z = pose[..., 0, 3]", "    x, y, z = math.sqrt(1 - pose[0, 3]) ** 0 * pose[..., 0, 3]"
     )
-    m = nominal_mechanism("g.py", scalar)
+    m = nominal_mechanism_of_kinematics_file("g.py", scalar)
     T = RigidTransform.from_translation([[0.05, 0.0, 0.0], [2.0, 0.0, 0.0]])
     with pytest.raises(Unreachable, match="no axis values for 1 of 2 poses") as raised:
         kinematics_of(m).inverse(T, m)
     assert list(raised.value.index) == [1]
     with pytest.raises(FileError, match="inverse fails: ValueError"):
-        _ = nominal_mechanism("g.py", scalar.replace("math.sqrt(1 - pose[0, 3])", "float('x')")).stated
+        _ = nominal_mechanism_of_kinematics_file(
+            "g.py", scalar.replace("math.sqrt(1 - pose[0, 3])", "float('x')")
+        ).stated
 
 
 def line_of(text: str, start: str) -> int:
@@ -171,10 +176,10 @@ def test_what_is_wrong_with_a_file_is_named(change, at, says):
     assert change[0] in GANTRY
     text = GANTRY.replace(*change, 1)
     if says is None:
-        nominal_mechanism("g.py", text)
+        nominal_mechanism_of_kinematics_file("g.py", text)
         return
     with pytest.raises(FileError, match=says) as raised:
-        nominal_mechanism("g.py", text)
+        nominal_mechanism_of_kinematics_file("g.py", text)
     assert raised.value.path == "g.py" and raised.value.line == (at and line_of(text, at))
 
 
@@ -192,14 +197,16 @@ def test_what_is_wrong_with_a_file_is_named(change, at, says):
 def test_a_forward_that_does_not_undo_inverse_is_refused(change, says):
     assert change[0] in FORWARD
     with pytest.raises(FileError, match=says) as raised:
-        nominal_mechanism("g.py", GANTRY + FORWARD.replace(*change, 1))
+        nominal_mechanism_of_kinematics_file("g.py", GANTRY + FORWARD.replace(*change, 1))
     assert raised.value.path == "g.py" and raised.value.line is not None
 
 
 def test_a_parameter_that_moves_nothing_is_refused():
     text = GANTRY.replace("1e-3),)", '1e-3), Parameter("idle", 1.0, "m", 1e-3))')
     with pytest.raises(FileError, match="parameter 'idle' changes no axis at any pose about home"):
-        nominal_mechanism("g.py", text.replace('"rad", 1e-3))', '"rad", 1e-3), Parameter("idle", 1.0, "m", 1e-3))'))
+        nominal_mechanism_of_kinematics_file(
+            "g.py", text.replace('"rad", 1e-3))', '"rad", 1e-3), Parameter("idle", 1.0, "m", 1e-3))')
+        )
 
 
 @pytest.mark.parametrize(

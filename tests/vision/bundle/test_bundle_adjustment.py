@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.pose import exp, log, pose_difference
 from tests.vision.drawn_observations import known, scene
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determined_combinations

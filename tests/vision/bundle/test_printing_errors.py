@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.model.hands_effect_places_and_tolerances import PLACES, SIDES
+from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES
 from rig.model.pose import exp, pose_difference
 from tests.numerical_derivatives import jacobian
 from tests.vision.drawn_observations import nees, scene, standing

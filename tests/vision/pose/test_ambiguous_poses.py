@@ -7,7 +7,7 @@ from vision.pose.pose_refinement_and_ambiguity_resolution import (
     choose_poses_by_neighbours,
     neighbour_rotation_scatter,
     pose_from_neighbours,
-    rotation_angle,
+    rotation_angle_between_poses,
     rotation_outliers,
 )
 
@@ -71,4 +71,4 @@ def test_a_flip_among_solved_frames_stands_out():
     found[33] = flipped(found[33])
     odd = rotation_outliers(found, t)
     assert set(odd) == {33} and "69 degrees" in odd[33]
-    assert rotation_angle(found[33], track()[1][33]) > 1.1
+    assert rotation_angle_between_poses(found[33], track()[1][33]) > 1.1

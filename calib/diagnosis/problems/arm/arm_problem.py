@@ -25,7 +25,7 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
-from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import has_continuous_parameters
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import JointCandidate, JointScore
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
@@ -48,7 +48,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import He
 from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested

@@ -30,7 +30,10 @@ from calib.diagnosis.problems.arm.arm_problem import (
     ArmProblem,
     held_out_poses_by_nested_selection,
 )
-from calib.diagnosis.problems.arm.finding_parameters import finding_parameters, term_errors_by_temperature_logs
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
+    finding_parameters,
+    term_errors_by_temperature_logs,
+)
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
     JointCandidate,
     findings_of_effects_fitted_before_search,

@@ -30,7 +30,10 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     test_lack_of_fit,
 )
 from calib.diagnosis.engine.reduced_least_squares import Reduced
-from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters, term_parameter_covariance
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
+    has_continuous_parameters,
+    term_parameter_covariance,
+)
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
@@ -50,7 +53,7 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
 from rig.array_and_json_types import Floats
 from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.effects.texts.effect_file_from_formula import Written
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms import axis_places
 
 # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look

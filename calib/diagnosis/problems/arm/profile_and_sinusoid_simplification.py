@@ -6,7 +6,10 @@ Of profiles, sinusoids and scales of one joint, the simplest that explains as mu
 from dataclasses import replace
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS, SelectionPolicy, StatedTerms
-from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
+    has_continuous_parameters,
+    optimise_nonlinear_parameters,
+)
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
@@ -61,8 +64,9 @@ def merge_sinusoids_into_profiles(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with many sinusoids at a joint merged into one profile, where that fits about as well.
+    """The Fit with many sinusoids at a joint merged into one profile.
 
+    Where that fits about as well.
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:

@@ -45,9 +45,9 @@ def score_candidates(
     correlated_frames: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[JointScore]:
-    """Scores of all candidates, the greatest raw delta BIC first.
+    """Scores of candidates, the greatest raw delta BIC first.
 
-    least_delta_bic : raw delta BIC of those listed; progress : called with (done, of)
+    least_delta_bic : of those listed, raw: candidates up to it are left out; progress : called with (done, of)
     """
     known, out = {}, []
     for i, candidate in enumerate(candidates):

@@ -19,8 +19,8 @@ from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms, motion_simulation
+from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.design import Camera, Design
-from rig.model.hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, require_parallel
 from rig.model.pose import exp

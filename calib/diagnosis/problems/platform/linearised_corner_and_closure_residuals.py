@@ -29,7 +29,7 @@ from calib.models.platform.closed_loop_equations import (
 )
 from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.hands_effect_places_and_tolerances import FINDER, SEAT
+from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     loop_closure_parameter_jacobian,

@@ -13,8 +13,8 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from vision import lens
 from vision.bundle.normal_equations_and_corner_jacobians import (
     corner_jacobians,

@@ -25,7 +25,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.parameters_covariates_and_marker_table import Linear
 from rig.model import mechanisms
-from rig.model.hands_effect_places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
+from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES, STEEL, THERMOMETER, Place, Tolerance
 from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not

@@ -47,7 +47,7 @@ from calib.identify.bounded_least_squares_and_robust_fit import (
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.model import mechanisms
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.recording.recording_folder import PAYLOAD
 from vision.corner_observations import observations_of_frames

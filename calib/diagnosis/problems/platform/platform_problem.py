@@ -15,7 +15,7 @@ from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.platform import lack_of_fit as remainder
+from calib.diagnosis.problems.platform import lack_of_fit_beyond_all_candidates as remainder
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
@@ -42,7 +42,7 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
     refinement_without_moving,
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,7 +30,11 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     value_with_interval_cut_at_bounds,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, platform_candidates
-from calib.diagnosis.problems.platform.lack_of_fit import closure_residuals, excess_scatter, ranked_covariates
+from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import (
+    closure_residuals,
+    excess_scatter,
+    ranked_covariates,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
     operating_point_of_recording,
@@ -70,8 +74,8 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
+from rig.model.arm_hands_effect_places_and_tolerances import PLACES
 from rig.model.design import Design
-from rig.model.hands_effect_places_and_tolerances import PLACES
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording

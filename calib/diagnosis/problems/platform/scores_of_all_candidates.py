@@ -32,7 +32,7 @@ from rig.compute.numba_kernels_and_lazy_exports import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
 
 CHUNK = 64  # nodes at a time
@@ -68,13 +68,14 @@ def score_candidates(
     model: LinearisedModel,
     candidates: list[PlatformCandidate],
     sensitivities: Sensitivities,
-    least_delta_bic: float = -np.inf,
+    least_delta_chi2_for_p_value: float = -np.inf,
     progress: Progress | None = None,
 ) -> list[PlatformScore]:
     """Scores of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
-    least_delta_bic : of delta chi-square; what explains less is not asked how likely it is, see `best_node_score`
+    least_delta_chi2_for_p_value : what explains less is listed too, but is not asked how likely it is, see
+        `best_node_score`
     """
     k = model.point
     motion = k.motion(k.effects) if k.axes else None
@@ -87,18 +88,18 @@ def score_candidates(
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: effects on strut motion require a recording with commands")
             score = (
-                vibration_frequency.best_vibration_frequency_score(model, candidate, axes, least_delta_bic)
+                vibration_frequency.best_vibration_frequency_score(model, candidate, axes, least_delta_chi2_for_p_value)
                 if candidate.reach is Reach.SPECTRUM
-                else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_bic)
+                else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_chi2_for_p_value)
             )
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
                 mounts[candidate.place] = corner_displacement_normal_equations_by_frame(
                     model, camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
                 )
-            score = _mounted(model, candidate, mounts[candidate.place], least_delta_bic)
+            score = _mounted(model, candidate, mounts[candidate.place], least_delta_chi2_for_p_value)
         else:
-            score = _viewed(model, candidate, sensitivities, least_delta_bic)
+            score = _viewed(model, candidate, sensitivities, least_delta_chi2_for_p_value)
         new = {key: sensitivities.pixels[key] for key in sensitivities.pixels.keys() - held}
         held.update(new)
         unnamed: Any = None  # a candidate is known by its identity, which no copy has

@@ -20,8 +20,8 @@ from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
     time_cosines,
 )
 from rig.array_and_json_types import Floats, Integers
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import image_warp_columns
-from rig.model.hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
@@ -92,9 +92,9 @@ def _camera_index(k: OperatingPoint, place: Place) -> int:
 
 
 def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
-    """Functions of time (F, 7, 7 count) of a camera's mount and focal length.
+    """Functions of time (F, 7, 7 count) of a camera.
 
-    Cosines for each parameter.
+    Of its mount and focal length: cosines for each parameter.
     """
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 

@@ -45,7 +45,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE
 from rig.effects.texts.effect_file_from_formula import Written
-from rig.model.hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 SEVERAL = 3  # struts that are unknown, from which all alike and the platform are asked as well
 

@@ -48,7 +48,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.model.hands_effect_places_and_tolerances import AXES, STILL, Place
+from rig.model.arm_hands_effect_places_and_tolerances import AXES, STILL, Place
 from rig.recording.recording_folder import Sensors
 
 WARM = tuple(

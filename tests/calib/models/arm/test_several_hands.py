@@ -15,7 +15,7 @@ from calib.models.arm import error_model_and_observations as model
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from rig.errors import NotEnoughData
-from rig.model.hands_effect_places_and_tolerances import Branch, Hand
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.frame_selection_and_content_hashes import select_hand

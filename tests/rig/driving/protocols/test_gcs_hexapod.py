@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.gcs import GCSHexapod
-from rig.driving.protocols.protocol_bases import Segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault, FileError, MotionError, PositionLost
 from rig.formats.rig_toml import design_from_rig_toml

@@ -5,7 +5,7 @@ import pytest
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.protocols.grblhal import GrblHAL
-from rig.driving.protocols.protocol_bases import Segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault, NoAnswer
 from tests.rig.scripted_wire import ScriptedPort

@@ -15,7 +15,7 @@ import pytest
 from rig.driving.clock import SimulatedClock, SystemClock
 from rig.driving.ports_and_numbered_frames import SerialPort, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import Struts
-from rig.driving.protocols.protocol_bases import Segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, NoAnswer, PositionLost

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import RigError
-from rig.model.hands_effect_places_and_tolerances import Branch
+from rig.model.arm_hands_effect_places_and_tolerances import Branch
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as serial
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import loads_by_weight_of_hands

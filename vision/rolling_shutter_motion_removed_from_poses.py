@@ -1,4 +1,4 @@
-"""Rolling shutter motion, taken out of poses.
+"""Rolling shutter motion, removed from poses.
 
 Motion of the platform between a frame's time and the exposure of each corner.
 

@@ -1,4 +1,4 @@
-"""Emulator of a controller, and the base of a user's own line emulator.
+"""Base of controller emulators, and of a user's own line emulator.
 
 Bytes received, answers and their delays; log of the true commands.
 
@@ -16,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.protocols.protocol_bases import LineProtocol
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import LineProtocol
 from rig.driving.protocols.protocol_selection_and_user_protocols import GROUP
 from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, user_class_error
 from rig.errors import FileError, LinkLost, RigError

@@ -1,4 +1,4 @@
-"""Open questions of a platform's diagnosis.
+"""Questions that a platform's diagnosis left open.
 
 With predicted outcomes of a plan under each hypothesis.
 
@@ -7,7 +7,7 @@ as the recordings so far leave them. What is measured anew is corners with the n
 instrument measures), seen by whichever camera sees them; cameras, lenses, geometry and every frame's pose are as free
 in it as in a diagnosis.
 
-is free, and their odds.
+A question has, for one finding, the hypotheses that are still alike, each fitted with all that is free, and their odds.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.experiment.arm_questions_and_predicted_recording import (
+from calib.experiment.arm_diagnosis_questions_and_predicted_recording import (
     design_with_fitted_geometry_and_cameras,
     operating_point_of_last_recording,
     operating_point_with_turned_cubes,
@@ -48,14 +48,14 @@ from calib.experiment.experiment_questions_and_information import (
     deviance_of_alternative,
     is_alternative_ruled_out,
     predictions_with_unlisted_hypothesis,
-    rival_hypotheses,
+    rival_hypotheses_with_odds,
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.hands_effect_places_and_tolerances import SEAT
+from rig.model.arm_hands_effect_places_and_tolerances import SEAT
 from rig.planning.timed_plan_and_visiting_order import Plan
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
@@ -335,5 +335,5 @@ def open_questions_of_platform_diagnosis(diagnosis: Diagnosis) -> list[PlatformQ
                     deviance_of_alternative(finding, a, size),
                 )
             )
-        out.append(PlatformQuestion(rival_hypotheses(found), tuple(unasked)))
+        out.append(PlatformQuestion(rival_hypotheses_with_odds(found), tuple(unasked)))
     return out

@@ -1,4 +1,4 @@
-"""Open questions of an arm's diagnosis, and the predicted recording of a plan.
+"""Questions that an arm's diagnosis left open, and the predicted recording of a plan.
 
 A recording is predicted with poses, corners with noise and a sensor log. Outcomes of a plan are predicted under each
 hypothesis, with poses linear about the fitted geometry.
@@ -17,7 +17,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.finding_parameters import has_continuous_parameters, optimise_nonlinear_parameters
+from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
+    has_continuous_parameters,
+    optimise_nonlinear_parameters,
+)
 from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
     Arms,
@@ -43,7 +46,7 @@ from calib.experiment.experiment_questions_and_information import (
     deviance_of_alternative,
     is_alternative_ruled_out,
     predictions_with_unlisted_hypothesis,
-    rival_hypotheses,
+    rival_hypotheses_with_odds,
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
@@ -252,7 +255,7 @@ def open_questions_of_arm_diagnosis(diagnosis: Diagnosis) -> list[ArmQuestion]:
                     deviance_of_alternative(finding, a, size),
                 )
             )
-        out.append(ArmQuestion(rival_hypotheses(found)))
+        out.append(ArmQuestion(rival_hypotheses_with_odds(found)))
     return out
 
 

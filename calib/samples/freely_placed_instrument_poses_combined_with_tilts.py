@@ -1,7 +1,8 @@
-"""Platform poses of an instrument that stands anywhere, and combined with tilt sensor readings.
+"""Platform poses of a freely placed instrument, combined with tilt sensor readings.
 
-Where the instrument stands, and where its target sits, is found by the stated machine at the commands. What this leaves
-open, the machine's own parameters take up: its frames are those in which it fits the stated machine best.
+The instrument stands anywhere. Where it stands, and where its target sits, is found by the stated machine at the
+commands. What this leaves open, the machine's own parameters take up: its frames are those in which it fits the stated
+machine best.
 
 What tilt sensors on a platform add: the two angles against gravity, weighted by their covariance.
 

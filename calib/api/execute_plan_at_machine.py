@@ -1,4 +1,4 @@
-"""Run of a plan at the machine.
+"""Execution of a given plan at the machine.
 
 The machine is driven, and the run recorded.
 """
@@ -50,7 +50,7 @@ from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
 from rig.planning.plan import build_plan
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, discard_notice
+from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
@@ -94,7 +94,7 @@ class PlannedRun:
         Unreachable where it would refuse a goal of the plan.
         """
         try:
-            with open_driver(self.design, self.options.trace, discard_notice) as driver:
+            with open_driver(self.design, self.options.trace, ignore_notice) as driver:
                 return [f"warning: {line}" for line in self.controller_warnings(driver)]
         except Unreachable:
             raise
@@ -102,7 +102,7 @@ class PlannedRun:
             return [f"the controller's own limits were not compared: {error}"]
 
     def carry_out(
-        self, out: Path, displays: Displays = lambda _: nullcontext([]), notice: Notice = discard_notice
+        self, out: Path, displays: Displays = lambda _: nullcontext([]), notice: Notice = ignore_notice
     ) -> int:
         """How many frames were taken, by now, once the run is over: a recording in the folder `out`.
 

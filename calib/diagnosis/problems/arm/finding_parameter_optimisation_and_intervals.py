@@ -1,4 +1,4 @@
-"""Parameters of findings with intervals, by nonlinear optimisation.
+"""Optimisation of the nonlinear parameters of findings, and the parameters' intervals.
 
 Findings are at an arm's joints.
 

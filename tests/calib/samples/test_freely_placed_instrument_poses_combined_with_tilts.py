@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.samples.platform_poses_of_freely_placed_instrument_and_tilt_sensors import poses_with_platform_tilts
+from calib.samples.freely_placed_instrument_poses_combined_with_tilts import poses_with_platform_tilts
 from rig.errors import RigError
 from rig.model.base_and_link_tilts import TiltReadings, TiltSensor
 from rig.model.pose import exp, pose_difference

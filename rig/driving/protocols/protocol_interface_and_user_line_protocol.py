@@ -1,4 +1,4 @@
-"""Bases of protocols: their interface, and a user's own line protocol.
+"""Interface of controller protocols, and the base of a user's own line protocol.
 
 Dialogues that yield request bytes and receive answer lines.
 
@@ -193,8 +193,9 @@ NUMBERS = 65536  # of requests, going round
 
 
 class LineProtocol:
-    """See rig.driving.protocols.protocol_bases.Protocol. Texts and patterns may have `#`: the request's number.
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
 
+    Texts and patterns may have `#`: the request's number.
     urgent_stop : bytes, as a literal, that slow every axis down whatever is under way
     accepted, refused : patterns (`re`) of whole answers to a command; a group of `refused` is the reason
     home_line, stop_line, unlock_line : commands; "" for none

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.urdf_joint_chain import JointChain, UrdfJoint, load_joint_chain
-from rig.model.hands_effect_places_and_tolerances import Branch, Hand
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.arm import joint_frames, link_transform
 from rig.model.pose import pose

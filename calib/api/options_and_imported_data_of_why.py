@@ -1,4 +1,4 @@
-"""Options of why, and import of its data.
+"""Options of `why`, and import of the data that it reads.
 
 WhyOptions states what is known of the data of one machine: a table, a bag, or a folder of either or of images. They are
 read, or imported as a recording.
@@ -37,10 +37,10 @@ LISTED = 8
 MOST_RADIANS = 6.5  # that joint values reach; so few degrees of travel calibrate nothing
 
 
-def require_data(data: Path) -> None:
-    """Require data at a path, else raise FileError.
+def require_existing_data_path(data: Path) -> None:
+    """Require that a path of data exists, else raise FileError.
 
-    With the nearest that there is, and for an empty folder.
+    It names the nearest that there is; an empty folder is refused too.
     """
     if not exists(data):
         parent = data.parent
