@@ -13,7 +13,6 @@ from calib.diagnosis.engine.candidate_score import (
     Scans,
     Score,
     is_significant,
-    may_become_significant_when_fitted,
     score_raised_to_likelihood_ratio,
 )
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, SelectionPolicy

@@ -64,7 +64,8 @@ def fit_with_axis_terms_in_place_of_whole_machine_term(problem: Problem[Fit, Mod
     of_axes = _axis_candidates_of_whole_machine_terms(problem, fit)
     if not of_axes:
         return None
-    shown, least = {str(u.place) for u in problem.lack_of_fit(problem.residual(fit))}, 2 * np.log(len(problem.candidates))
+    shown = {str(u.place) for u in problem.lack_of_fit(problem.residual(fit))}
+    least = 2 * np.log(len(problem.candidates))
     for own in of_axes.values():
         if shown & {c.place for c in own}:
             new, gain = _with_axis_terms(problem, fit, own)

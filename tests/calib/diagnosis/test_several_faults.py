@@ -76,7 +76,7 @@ def test_what_moves_with_the_speed_is_named_or_listed_among_what_it_cannot_be_to
         pytest.param(95020, 2, id="clearances of few frames each, which convince together, and springs of all struts"),
         pytest.param(97017, 2, id="clearances that predict stretches held out together, and a wave of one strut"),
         pytest.param(97016, 2, id="struts that lose steps and warm up, each hidden by what the other scatters"),
-        pytest.param(99001, 2, id="two springs and two lost steps of one strut, each the others' scatter where it lacks"),
+        pytest.param(99001, 2, id="two springs and lost steps of one strut, each scatter to the others"),
     ],
 )
 def test_several_faults_of_all_axes_leave_nothing_unknown(seed, count, tmp_path):

@@ -142,9 +142,7 @@ class LinearisedModel:
     def folded(self, inner: Floats, rest: Floats) -> Column:
         """Column of corner displacements that `split_by_frames` split."""
         inner = inner / self.corners.sigma
-        closures = (
-            self.on_closures(self.closures.to_rows @ inner) if self.point.axes else self.nothing(inner.shape[-1])
-        )
+        closures = self.on_closures(self.closures.to_rows @ inner) if self.point.axes else self.nothing(inner.shape[-1])
         return Column((rest / self.corners.sigma, closures), inner)
 
     def lengthened(self, deviation: Floats) -> Column:
