@@ -19,6 +19,7 @@ from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
+from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine_and_truth_file
 from vision.checks import find_corner_mistakes
 
@@ -43,8 +44,9 @@ class Setup:
         return tuple(one for one in self.found if one.spoils or not ROUGH.match(one.what))
 
 
-def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
-    """The Setup of a number, written to a folder: rough cameras, in every second one lenses that nobody stated.
+def drawn_recording(number: int, folder: Path, frames: int | None = None) -> tuple[str, Recording, float]:
+    """(a set-up of a number in words, its recording, written to a folder, px that its corners scatter): rough cameras,
+    in every second one lenses that nobody stated.
     frames : how many, None drawn
     """
     rng = np.random.default_rng((28, number))
@@ -63,12 +65,17 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
     secret = replace(secret, true=replace(secret.true, cameras=cameras))
     done = recording_simulation.simulate_world(secret, plan.build_plan(stated, f"sobol:{frames}", number), rng)
     recording_simulation.write_recording(done, folder, text, rng, noise)
-    read = recording_folder.load_recording(folder)
-    assert read.corners is not None
     words = (
         f"{number}: radius {radius:.2f} m, {count} cameras {width}x{height}, {cubes} cubes, {frames} frames, "
         f"noise {noise:.2f} px" + (", no lens stated" if lensless else "")
     )
+    return words, recording_folder.load_recording(folder), noise
+
+
+def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
+    """The Setup of a number, see `drawn_recording`."""
+    words, read, _ = drawn_recording(number, folder, frames)
+    assert read.corners is not None
     return Setup(
         words,
         (*mistakes_found_without_looking_at_images(read), *find_corner_mistakes(read, read.corners, thorough=True)),

@@ -172,13 +172,13 @@ def _graph(pairs: Sequence[_Pair], count: int) -> csr_array:
 
 def _along_tree(pairs: Sequence[_Pair], rows: Integers) -> Floats:
     """(r, 4, 4) T_root_marker of rows (r,) along the tree of pairs with most images; the root is the best linked."""
-    links = {(p.first, p.second): p.matrix for p in pairs}
-    links |= {(p.second, p.first): inverse_pose(p.matrix) for p in pairs}
-    tree = csgraph.minimum_spanning_tree(_graph(pairs, int(rows.max()) + 1))
+    own = [pair for pair in pairs if pair.first in rows]
+    links = {(p.first, p.second): p.matrix for p in own}
+    links |= {(p.second, p.first): inverse_pose(p.matrix) for p in own}
+    tree = csgraph.minimum_spanning_tree(_graph(own, int(rows.max()) + 1))
     agreeing = np.zeros(len(rows))
-    for pair in pairs:
-        if pair.first in rows:
-            agreeing[np.searchsorted(rows, [pair.first, pair.second])] += pair.agreeing
+    for pair in own:
+        agreeing[np.searchsorted(rows, [pair.first, pair.second])] += pair.agreeing
     root = int(rows[np.argmax(agreeing)])
     order, before = csgraph.breadth_first_order(tree, root, directed=False)
     placed = {root: np.eye(4)}

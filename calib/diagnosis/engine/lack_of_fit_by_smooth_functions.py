@@ -159,16 +159,17 @@ def detect_excess_scatter(
     degrees_of_freedom: float,
     test_count: int = 1,
     depends_on: tuple[str, ...] = (),
+    material: float = MATERIAL,
 ) -> LackOfFit | None:
     """LackOfFit of excess scatter at a place, beyond chance and the stated noise.
 
     None where noise suffices.
     noise : in unit, RMS of what is stated; sum_of_squares : sum of squares left, whitened by it
-    test_count : how many such are made of one recording
+    test_count : how many such are made of one recording; material : times the noise that scatter must be
     """
     ratio = sum_of_squares / max(degrees_of_freedom, 1.0)
     chance = float(scipy.special.chdtrc(max(degrees_of_freedom, 1.0), sum_of_squares))
-    if ratio <= MATERIAL**2 or chance * test_count >= ALPHA:
+    if ratio <= material**2 or chance * test_count >= ALPHA:
         return None
     return LackOfFit(
         place, float(noise * np.sqrt(ratio - 1)), unit, depends_on, chance, float(sum_of_squares - degrees_of_freedom)

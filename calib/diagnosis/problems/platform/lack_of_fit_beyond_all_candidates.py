@@ -14,6 +14,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import (
     ALPHA,
     LIKELY,
+    MATERIAL,
     Covariate,
     LackOfFit,
     Share,
@@ -60,6 +61,7 @@ MEDIAN_SPREAD = (
 )
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
 MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean square over as many numbers
+MATERIAL_OF_UNLIKE_ERRORS = 1.5  # times the noise, where corner errors are not equal and independent
 STRUTS, IMAGES = "struts", "images"
 
 
@@ -258,8 +260,12 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     own = model.strut_noise() - model.closures.scatter**2
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
     noise = np.sqrt(own.mean(axis=0))
+    # what errors that are not equal and independent make of poses is known less well than what others do
+    material = MATERIAL if model.corners.spread is None else MATERIAL_OF_UNLIKE_ERRORS
     return [
-        detect_excess_scatter(k.places[i], k.axis_unit, float(noise[i]), float(squares[i]), freedom, k.axes)
+        detect_excess_scatter(
+            k.places[i], k.axis_unit, float(noise[i]), float(squares[i]), freedom, k.axes, material=material
+        )
         for i in range(k.axes)
     ]
 

@@ -22,6 +22,9 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     remounted_cube_pose_nuisances,
     split_rows_by_frame_bases,
 )
+from calib.diagnosis.problems.platform.pose_covariance_of_correlated_corner_errors import (
+    pose_covariance_of_unlike_errors,
+)
 from calib.models.platform.closed_loop_equations import (
     loop_covariance,
     loop_covariance_with_length_resolution,
@@ -55,6 +58,8 @@ class CornerFrames:
     sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is
         above their squares
     clip : standard deviations for which a residual counts at most; reach : which REACHED of the residuals do not exceed
+    spread : (F, L, L) covariance of the frames' own poses on that basis where corner errors are not equal and
+        independent, else None
     """
 
     order: Integers
@@ -67,6 +72,7 @@ class CornerFrames:
     excess: float = 0.0
     clip: float = CLIP
     reach: float = 0.0
+    spread: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,8 +265,12 @@ def _corner_frames(
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
     projected, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
     inner = np.concatenate([projected, rows.inner / sigma], axis=2)
+    fitted = left[:, 0] - rows.table @ (rows.free @ (rows.free.T @ (rows.table.T @ left[:, 0])))
+    spread = pose_covariance_of_unlike_errors(rows.smooth, fitted, local, edges)
     return (
-        CornerFrames(rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach),
+        CornerFrames(
+            rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach, spread
+        ),
         left[:, 0],
     )
 
@@ -272,7 +282,8 @@ def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None)
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        covariance = loop_covariance_with_length_resolution(to_length @ np.swapaxes(to_length, 1, 2))
+        poses = to_length if frames.spread is None else to_length @ frames.spread
+        covariance = loop_covariance_with_length_resolution(poses @ np.swapaxes(to_length, 1, 2))
     inner = frames.inner
     rows = np.concatenate(
         [

@@ -10,6 +10,10 @@ import numpy as np
 
 from calib.diagnosis.engine.linear_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
+from calib.diagnosis.problems.platform.pose_covariance_of_correlated_corner_errors import (
+    SmoothImageErrors,
+    smooth_image_errors,
+)
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -64,6 +68,7 @@ class CornerDerivatives:
     names: list[tuple[str, str]]
     priors: list[float]
     camera_columns: dict[int, list[int]]
+    smooth: SmoothImageErrors
 
     def holds_at(self, point: OperatingPoint, pixels: Floats) -> bool:
         """Whether the derivatives hold at another OperatingPoint that predicts pixels (n, 2) px: the same corners, as
@@ -169,6 +174,7 @@ def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> Corne
         found.names,
         found.priors,
         found.camera_columns,
+        smooth_image_errors(o, point.stated.cameras, order, edges, whitener[order], local),
     )
 
 

@@ -1,0 +1,135 @@
+"""Covariance of each frame's poses where corner errors are correlated within an image, or larger in some places.
+
+Air, vibration and a finder's habits move neighbouring corners alike, corners far from an image's middle may scatter
+more, and some far more than usual. The poses then scatter by more than equal and independent errors make of them, and
+no strut is to blame for that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.array_and_json_types import Floats, Integers
+from rig.model.design import Camera
+from vision.corner_observations import Observations
+
+DEGREE = 3  # of the polynomials of a place in an image that errors may follow
+RINGS = 3  # parts of an image from its middle outwards, of as many corners each
+HEAVY = 1.1  # times the square of the middle of the errors that their mean square must be to have heavy tails
+PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal and independent ones
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothImageErrors:
+    """Errors that vary smoothly over each of I images of F frames, anew in each, whitened.
+
+    columns : (2n, 2K) of each corner's own image, by polynomials of mean square 1 in each direction together
+    starts, frame : (I,) each image's first row, and its frame; onto : (F, L, 2K C) on the frames' own poses
+    twice : trace of the square of what frames' own poses leave of the columns' products with each other, all frames
+    size : (n,) sum of squares of each corner's rows of the columns; taken : (F,) of what the frames' own poses take
+    part : (n,) each corner's camera and ring, and spare : (n,) how much of its errors' squares the poses leave
+    """
+
+    columns: Floats
+    starts: Integers
+    frame: Integers
+    onto: Floats
+    twice: float
+    size: Floats
+    taken: Floats
+    part: Integers
+    spare: Floats
+
+
+def smooth_image_errors(
+    observations: Observations,
+    cameras: Sequence[Camera],
+    order: Integers,
+    edges: Integers,
+    whiten: Floats,
+    local: Floats,
+) -> SmoothImageErrors:
+    """SmoothImageErrors of n corners in an order (n,), frame by frame and camera by camera.
+
+    edges : (F + 1,) where frames begin; whiten : (n, 2, 2) 1/px; local : (2n, L) orthonormal basis of frames' own poses
+    """
+    o = observations
+    camera, frame = o.camera[order], o.frame[order]
+    half = np.array([[c.width / 2, c.height / 2] for c in cameras])[camera]
+    place = (o.uv[order] - half) / half
+    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    terms = np.stack([place[:, 0] ** i * place[:, 1] ** j for i, j in powers], axis=1)
+    terms /= np.sqrt((terms**2).sum(axis=1).mean())
+    columns = np.einsum("nij,nk->nikj", whiten, terms).reshape(2 * len(order), -1)
+    starts = np.flatnonzero(np.r_[True, (np.diff(camera) != 0) | (np.diff(frame) != 0)])
+    F, L, width = len(edges) - 1, local.shape[1], columns.shape[1]
+    onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((len(starts), width, width))
+    for image, (a, b) in enumerate(zip(2 * starts, [*2 * starts[1:], 2 * len(order)])):
+        onto[frame[starts[image]], :, camera[starts[image]]] = local[a:b].T @ columns[a:b]
+        products[image] = columns[a:b].T @ columns[a:b]
+    flat = onto.reshape(F, L, -1)
+    size, taken = (columns**2).sum(axis=1).reshape(-1, 2).sum(axis=1), (flat**2).sum(axis=(1, 2))
+    # tr M^2 of M = blocks of the products - onto^T onto
+    own = onto[frame[starts], :, camera[starts]]
+    across = np.einsum("ila,iab,ilb->", own, products, own, optimize=True)
+    short = flat @ np.swapaxes(flat, 1, 2)
+    twice = float((products**2).sum() - 2 * across + (short**2).sum())
+    spare = np.maximum(1 - (local**2).reshape(len(order), 2, L).sum(axis=(1, 2)) / 2, 0.05)
+    return SmoothImageErrors(columns, starts, frame[starts], flat, twice, size, taken, _parts(camera, place), spare)
+
+
+def _parts(camera: Integers, place: Floats) -> Integers:
+    """(n,) number of each corner's camera and ring of the image."""
+    radius, out = np.linalg.norm(place, axis=1), np.zeros(len(camera), int)
+    for i in np.unique(camera):
+        own = camera == i
+        out[own] = RINGS * i + np.searchsorted(np.quantile(radius[own], np.arange(1, RINGS) / RINGS), radius[own])
+    return out
+
+
+def pose_covariance_of_unlike_errors(
+    errors: SmoothImageErrors, left: Floats, local: Floats, edges: Integers
+) -> Floats | None:
+    """(F, L, L) covariance of the frames' own poses on their basis, whose unit is that of equal and independent errors;
+    None where corners show no others.
+
+    left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of `smooth_image_errors`
+    """
+    square, F = (left**2).reshape(-1, 2).mean(axis=1), len(edges) - 1
+    level = square.sum() / errors.spare.sum()
+    frame = np.repeat(np.arange(F), np.diff(edges))
+    shares = _shares(frame, square / level, errors.spare) * _shares(errors.part, square / level, errors.spare)
+    v = np.add.reduceat(errors.columns * left[:, None], 2 * errors.starts, axis=0)
+    seen = np.bincount(errors.frame, (v**2).sum(axis=1), F)
+    white_alone = np.bincount(frame, shares * errors.size, F)
+    white_alone -= np.bincount(frame, shares, F) / np.maximum(np.bincount(frame, minlength=F), 1) * errors.taken
+    excess = seen - level * white_alone
+    correlated = excess.sum() > PROOF * np.sqrt((excess**2).sum())
+    if (shares == 1).all() and not correlated and level < HEAVY:
+        return None
+    white, smooth = level, 0.0
+    if correlated:  # both from what all squares are, and those along the smooth columns
+        left_of_columns = errors.size.sum() - errors.taken.sum()
+        A = np.array([[2 * errors.spare.sum(), left_of_columns], [white_alone.sum(), errors.twice]])
+        white, smooth = np.linalg.solve(A, [(left**2).sum(), seen.sum()])
+        white, smooth = max(white, 0.0), max(smooth, 0.0)
+    each = np.repeat(white * shares, 2)
+    out = smooth * errors.onto @ np.swapaxes(errors.onto, 1, 2)
+    for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
+        out[f] += local[a:b].T @ (each[a:b, None] * local[a:b])
+    return out
+
+
+def _shares(part: Integers, square: Floats, spare: Floats) -> Floats:
+    """(n,) mean square of the errors in each corner's part (n,), of what is expected there; 1 in all where parts are
+    alike.
+
+    square : (n,) of each corner's, spare : (n,) expected
+    """
+    n = np.maximum(np.bincount(part), 1)
+    beyond = square - spare
+    mean, spread = np.bincount(part, beyond) / n, np.sqrt((beyond**2).mean() / n)
+    if not (np.abs(mean) > PROOF * spread).any():
+        return np.ones(len(part))
+    return (np.bincount(part, square) / np.maximum(np.bincount(part, spare), 1e-300))[part]
