@@ -17,6 +17,8 @@ from vision.corner_observations import Observations
 DEGREE = 3  # of the polynomials of a place in an image that errors may follow
 RINGS = 3  # parts of an image from its middle outwards, of as many corners each
 HEAVY = 1.1  # times the square of the middle of the errors that their mean square must be to have heavy tails
+LEAST = 0.05  # of the squares: errors of neighbouring corners are never quite alike
+FEW = 2.0  # corners' worth of usual errors that every part is taken to have beside its own
 PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal and independent ones
 
 
@@ -113,7 +115,7 @@ def pose_covariance_of_unlike_errors(
         left_of_columns = errors.size.sum() - errors.taken.sum()
         A = np.array([[2 * errors.spare.sum(), left_of_columns], [white_alone.sum(), errors.twice]])
         white, smooth = np.linalg.solve(A, [(left**2).sum(), seen.sum()])
-        white, smooth = max(white, 0.0), max(smooth, 0.0)
+        white, smooth = max(white, LEAST * level), max(smooth, 0.0)
     each = np.repeat(white * shares, 2)
     out = smooth * errors.onto @ np.swapaxes(errors.onto, 1, 2)
     for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
@@ -132,4 +134,4 @@ def _shares(part: Integers, square: Floats, spare: Floats) -> Floats:
     mean, spread = np.bincount(part, beyond) / n, np.sqrt((beyond**2).mean() / n)
     if not (np.abs(mean) > PROOF * spread).any():
         return np.ones(len(part))
-    return (np.bincount(part, square) / np.maximum(np.bincount(part, spare), 1e-300))[part]
+    return ((np.bincount(part, square) + FEW) / (np.bincount(part, spare) + FEW))[part]
