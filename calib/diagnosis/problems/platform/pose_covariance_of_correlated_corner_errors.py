@@ -104,8 +104,8 @@ def pose_covariance_of_unlike_errors(
     shares = _shares(frame, square / level, errors.spare) * _shares(errors.part, square / level, errors.spare)
     v = np.add.reduceat(errors.columns * left[:, None], 2 * errors.starts, axis=0)
     seen = np.bincount(errors.frame, (v**2).sum(axis=1), F)
-    white_alone = np.bincount(frame, shares * errors.size, F)
-    white_alone -= np.bincount(frame, shares, F) / np.maximum(np.bincount(frame, minlength=F), 1) * errors.taken
+    mean_share = np.bincount(frame, shares, F) / np.maximum(np.bincount(frame, minlength=F), 1)
+    white_alone = np.bincount(frame, shares * errors.size, F) - mean_share * errors.taken
     excess = seen - level * white_alone
     correlated = excess.sum() > PROOF * np.sqrt((excess**2).sum())
     if (shares == 1).all() and not correlated and level < HEAVY:
