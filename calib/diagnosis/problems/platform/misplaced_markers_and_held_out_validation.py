@@ -57,7 +57,7 @@ GATE = 7.0  # times the scatter of the others, from which a frame or a marker's 
 SLOW = 4  # cosines of time that are free
 ROWS = 4  # frames for each number that is free in one strut
 LEAST = 0.5  # px; corners nearer than this to where they should be are no other marker's
-HELD = 2  # sightings that a frame must keep
+HELD = 2  # sightings of the platform that a frame must keep
 ALONE = (
     "measured pose and command agree with no other frame, neither the previous and next ones nor those at "
     "configurations near it"
@@ -174,7 +174,8 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
         wild[i] = not (apart < ALIKE * np.linalg.norm(off[i])).any()
     if wild.sum() > MOST * len(wild):
         return Outliers(crowd=Crowd("images of markers", int(wild.sum()), len(wild)))
-    retained = np.bincount(s.frame[~wild], minlength=len(k.frames))[s.frame]
+    on_platform = seen.markers.on_platform[s.marker]  # without these, nothing says where the platform is
+    retained = np.bincount(s.frame[~wild & on_platform], minlength=len(k.frames))[s.frame]
     wild &= retained >= HELD
     rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
     left_out = tuple(
