@@ -215,8 +215,10 @@ def _following(products: FrameProducts, order: Integers, place: Place, informati
     scale = np.sqrt(np.maximum(np.einsum("faa->a", gamma), 1e-300))
     beta, gamma = beta / scale, gamma / scale[:, None] / scale
     M = np.linalg.pinv(gamma.mean(axis=0), rcond=1e-6, hermitian=True)
-    alike = float(np.einsum("fa,ab,fb->", beta[1:], M, beta[:-1]))
+    each = np.einsum("fa,ab,fb->f", beta[1:], M, beta[:-1])
+    alike = float(each.sum())
     chance = np.sqrt(np.einsum("ab,fbc,cd,fda->", M, gamma[1:], M, gamma[:-1], optimize=True))
+    chance = max(chance, np.sqrt((each**2).sum()))  # the second counts the errors as large as they are
     p = float(scipy.special.ndtr(-(alike / max(chance, 1e-300))))
     return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))
 
@@ -259,9 +261,13 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     residual = (inverse @ model.closure_residual[: F * k.axes].reshape(F, k.axes, 1))[..., 0]
     own = model.strut_noise() - model.closures.scatter**2
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
+    material = MATERIAL
+    if model.corners.spread is not None:
+        # what errors that are not equal and independent make of poses is known less well, and moves all struts
+        material = MATERIAL_OF_UNLIKE_ERRORS
+        common = max(float(squares.min()) / max(freedom, 1.0), 1.0)
+        own, squares = own * common, squares / common
     noise = np.sqrt(own.mean(axis=0))
-    # what errors that are not equal and independent make of poses is known less well than what others do
-    material = MATERIAL if model.corners.spread is None else MATERIAL_OF_UNLIKE_ERRORS
     return [
         detect_excess_scatter(
             k.places[i], k.axis_unit, float(noise[i]), float(squares[i]), freedom, k.axes, material=material
