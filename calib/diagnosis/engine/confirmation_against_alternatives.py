@@ -13,6 +13,7 @@ from calib.diagnosis.engine.candidate_score import (
     Scans,
     Score,
     is_significant,
+    may_become_significant_when_fitted,
     score_raised_to_likelihood_ratio,
 )
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, SelectionPolicy
@@ -223,7 +224,10 @@ def _confirm_term(
     model, size, term = problem.without_term(fit, number), problem.size(fit), problem.terms(fit)[number]
     scanned, held = problem.rescored(model, fit, number), problem.given.holds(term)
     own = scanned
-    if not is_significant(own, count, size, policy) and policy.hidden > 0:  # without it, it may be its axis' scatter
+    hides_itself = term.site.is_axis and policy.hidden > 0  # where it lacks, it is scatter of its axis
+    if not is_significant(own, count, size, policy) and (
+        hides_itself or may_become_significant_when_fitted(own, count, size, policy)
+    ):
         own = score_raised_to_likelihood_ratio(
             own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
         )
