@@ -88,8 +88,8 @@ def fit_with_whole_machine_term_split_by_axis(
     at_axes = {s.candidate.name for s in promising if s.candidate.site.is_axis and s.evidence(size) >= ALIKE * most}
     for name, own in _axis_candidates_of_whole_machine_terms(problem, fit).items():
         tried = name, frozenset((c.name, c.place) for c in terms if c.name != name)
-        several = sum(c.name == name and not c.site.is_axis for c in terms) > 1  # of which an axis may have each
-        if name not in at_axes or several or tried in split:
+        flexible = min(c.extra for c in own) > 0  # with times of its own, an axis' term takes in what else it does
+        if name not in at_axes or flexible or tried in split:
             continue
         split.add(tried)
         new, gain = _with_axis_terms(problem, fit, own)
