@@ -261,11 +261,10 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     residual = (inverse @ model.closure_residual[: F * k.axes].reshape(F, k.axes, 1))[..., 0]
     own = model.strut_noise() - model.closures.scatter**2
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
-    material = MATERIAL
-    if model.corners.spread is not None:
-        # what errors that are not equal and independent make of poses is known less well, and moves all struts
-        material = MATERIAL_OF_UNLIKE_ERRORS
-        common = max(float(squares.min()) / max(freedom, 1.0), 1.0)
+    # what errors that are not equal and independent make of poses is known less well than what others do
+    material = MATERIAL if model.corners.spread is None else MATERIAL_OF_UNLIKE_ERRORS
+    if k.seen is not None:  # what all struts scatter alike, as far as it is no more than that, the images may do
+        common = float(np.clip(squares.min() / max(freedom, 1.0), 1.0, material**2))
         own, squares = own * common, squares / common
     noise = np.sqrt(own.mean(axis=0))
     return [
