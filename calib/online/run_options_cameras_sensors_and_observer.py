@@ -18,6 +18,7 @@ from calib.online.live_learner_and_run_state import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
+from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
@@ -30,9 +31,14 @@ from rig.driving.user_classes_and_sensor_reader import open_sensors
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.design import Design
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
+from rig.recording.recording_tables import Corners
+from vision.corner_observations import observations_from_corners
 from vision.corners.marker_detection_and_corner_fit import detect_markers
-from vision.predict import marker_map
+from vision.pose.body_pose import FINEST
+from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
+from vision.predict import marker_map, markers_expected_in_image
 from vision.reading.live_measurement_and_corner_refit import Live
 from vision.reading.parallel_image_map_and_marker_rendering import marker_white_level, render_marker_images, save_image
 from vision.recording_adjustment import has_hand_cameras
@@ -133,24 +139,55 @@ class RunOptions:
             raise RigError(f"--interval takes seconds of at least 0, not {self.interval:g}")
 
 
-def compile_kernels_for_run(design: Design) -> bool:
+def compile_kernels_for_run(design: Design, in_two_processes: bool = False) -> bool:
     """Compile the kernels that a run needs; False of other machines than hexapods with cameras.
 
-    By measuring one drawn image of a hexapod at home.
+    By measuring one drawn image of a hexapod at home. in_two_processes : whether what only poses and the learner need
+    is compiled beside what images need; both are kept, and loaded here
     """
     m = design.mechanism
     if not is_hexapod(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return False
+    if in_two_processes:
+        parallel_map(partial(_compile_part, design, m), [_compile_images, _compile_poses], items_per_process=1)
     markers, live = marker_map(design), Live(design)
-    images = render_marker_images(design.cameras, m.home, markers)
-    live.take(0, images)
+    live.take(0, render_marker_images(design.cameras, m.home, markers))
     live.close()
+    _compile_images(design, m)
+    _compile_poses(design, m)
+    return True
+
+
+def _compile_part(design: Design, m: Hexapod, part: Callable[[Design, Hexapod], None]) -> None:
+    part(design, m)
+
+
+def _compile_images(design: Design, m: Hexapod) -> None:
+    """Compile what finds markers where poses tell where they are."""
+    T, markers = m.home, marker_map(design)
+    images = render_marker_images(design.cameras, T, markers)
     for camera in design.cameras:
-        detect_markers(images[camera.name], camera, markers, T_base_platform=m.home)
+        detect_markers(images[camera.name], camera, markers, T_base_platform=T)
+
+
+def _compile_poses(design: Design, m: Hexapod) -> None:
+    """Compile what makes poses of corners, and what learns from poses."""
+    markers = marker_map(design)
+    seen = [(camera, markers_expected_in_image(camera, m.home, markers)) for camera in design.cameras]
+    rows, names = np.concatenate([rows for _, (rows, _) in seen]), [c.name for c, (rows, _) in seen for _ in rows]
+    corners = Corners(
+        np.zeros(4 * len(rows), int),
+        [name for name in names for _ in range(4)],
+        np.repeat(markers.id[rows], 4),
+        np.tile(np.arange(4), len(rows)),
+        np.concatenate([quads.reshape(-1, 2) for _, (_, quads) in seen]),
+        None,
+    )
+    observed = observations_from_corners(corners, np.zeros(1, int), design, markers)
+    locate_frames(UndistortedCorners(observed, design.cameras, markers, FINEST), design.cameras)
     learner, lengths = Learner(m), mechanisms.kinematics_of(m).inverse(m.home, m)
     for _ in range(2):  # the second is held against the first
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
-    return True
 
 
 def open_cameras(design: Design, clock: Clock) -> SynchronisedCameras:

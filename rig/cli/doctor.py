@@ -77,6 +77,6 @@ def run_kernels(arguments: Namespace) -> None:
     design = design_from_rig_toml.load_design(arguments.design)
     print(
         "compiled: what runs and measurements of this rig take"
-        if compile_kernels_for_run(design)
+        if compile_kernels_for_run(design, in_two_processes=True)
         else "nothing compiled: ahead, only kernels of hexapods whose cameras see a cube on the platform are"
     )

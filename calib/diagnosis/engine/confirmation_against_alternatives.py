@@ -224,15 +224,15 @@ def _confirm_term(
     model, size, term = problem.without_term(fit, number), problem.size(fit), problem.terms(fit)[number]
     scanned, held = problem.rescored(model, fit, number), problem.given.holds(term)
     own = scanned
-    hides_itself = term.site.is_axis and policy.hidden > 0  # where it lacks, it is scatter of its axis
+    bare = cache(lambda: problem.remove_term(fit, number))
+    # a scan without the term counts what it explains as scatter of its axis
+    hides_itself = term.site.is_axis and policy.hidden > 0
     if not is_significant(own, count, size, policy) and (
         hides_itself or may_become_significant_when_fitted(own, count, size, policy)
     ):
-        own = score_raised_to_likelihood_ratio(
-            own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames
-        )
+        own = score_raised_to_likelihood_ratio(own, problem.likelihood_ratio(bare(), fit), problem.linear(model).frames)
     if not held and not is_significant_alone_or_with_other_axes(problem, fit, number, own):  # beside all others
-        return problem.remove_term(fit, number), None
+        return bare(), None
     member = None if held or not replaces else _likelier_member(problem, model, fit, number, scanned, changes.replaced)
     if member is not None:
         changes.replaced.append(term)
@@ -266,7 +266,7 @@ def _confirm_term(
         # only now: what has no name may be likelier than one name, and not than the next
         member = refit_with_other_member_of_law(problem, model, fit, number, changes.replaced) if replaces else None
         if member is None:
-            return problem.remove_term(fit, number), None
+            return bare(), None
         changes.replaced.append(term)
         return problem.in_place(member, number), None
     finding = Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)])

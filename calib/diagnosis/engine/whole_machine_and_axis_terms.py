@@ -81,14 +81,16 @@ def fit_with_whole_machine_term_split_by_axis(
 
     It is where an axis shows the name beside it about as strongly as anything else, and all the axes apart gain more
     than the most promising hypothesis does: what axes have of one law in unequal shares is no other law at some of
-    them. promising : significant Scores; split : those tried, each once
+    them. Laws with a number to be searched for in every variant are not split.
+    promising : significant Scores; split : those tried, each once
     """
     terms, size = problem.terms(fit), problem.size(fit)
-    most = max(s.evidence(size) for s in promising)
+    most = max(0.0, *(s.evidence(size) for s in promising))
     at_axes = {s.candidate.name for s in promising if s.candidate.site.is_axis and s.evidence(size) >= ALIKE * most}
     for name, own in _axis_candidates_of_whole_machine_terms(problem, fit).items():
         tried = name, frozenset((c.name, c.place) for c in terms if c.name != name)
-        flexible = min(c.extra for c in own) > 0  # with times of its own, an axis' term takes in what else it does
+        # where every variant has a number to be searched for, as a time, an axis' term takes in what else it does
+        flexible = min(c.extra for c in own) > 0
         if name not in at_axes or flexible or tried in split:
             continue
         split.add(tried)

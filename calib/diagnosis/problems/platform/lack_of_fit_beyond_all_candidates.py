@@ -263,7 +263,9 @@ def _strut_scatter(model: LinearisedModel) -> list[LackOfFit | None]:
     squares, freedom = (residual**2 / own).sum(axis=0), F - len(geometric_parameters(k.platform)) / k.axes
     # what errors that are not equal and independent make of poses is known less well than what others do
     material = MATERIAL if model.corners.spread is None else MATERIAL_OF_UNLIKE_ERRORS
-    if k.seen is not None:  # what all struts scatter alike, as far as it is no more than that, the images may do
+    if (
+        k.seen is not None and k.axes > 2
+    ):  # what all struts scatter alike, as far as it is no more than that, the images may do
         common = float(np.clip(squares.min() / max(freedom, 1.0), 1.0, material**2))
         own, squares = own * common, squares / common
     noise = np.sqrt(own.mean(axis=0))

@@ -324,11 +324,15 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
 
 
 def remove_corners_far_from_prediction(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint without the corners too far from their predicted pixels to belong to their marker."""
+    """OperatingPoint without the corners too far from their predicted pixels to belong to their marker; a frame that
+    would have none of its platform left keeps all.
+    """
     seen = point.seen
     if seen is None:
         return point
-    near = np.linalg.norm(seen.observations.uv - point.pixels(), axis=1) < ELSEWHERE
+    o = seen.observations
+    near = np.linalg.norm(o.uv - point.pixels(), axis=1) < ELSEWHERE
+    near |= (np.bincount(o.frame[near & o.on_platform], minlength=len(point.frames)) == 0)[o.frame]
     return point if near.all() else replace(point, seen=seen.take(near))
 
 

@@ -14,9 +14,11 @@ import numpy as np
 from calib.diagnosis.engine.linear_model import Block, Column, FactoredColumns, LinearModel, orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corners import (
+    CLIP,
     MEDIAN,
     PARTS,
     CornerDerivatives,
+    CornerFrames,
     camera_edge_bias_nuisances,
     corner_derivatives,
     remounted_cube_pose_nuisances,
@@ -31,7 +33,7 @@ from calib.models.platform.closed_loop_equations import (
     scatter_of_redundant_struts,
 )
 from calib.models.platform.identification import PRIOR
-from rig.array_and_json_types import Booleans, Floats, Integers
+from rig.array_and_json_types import Booleans, Floats
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
@@ -41,38 +43,10 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
-CLIP = 5.0
 REACHED = 0.98  # share of the corners
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 ROUNDS = 3  # of weighing the struts anew by their scatter
 WILD = 50.0  # standard deviations; a residual counts for no more where the corners' noise is judged
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerFrames:
-    """Corners' rows frame by frame, and what each frame's own poses take of them.
-
-    order : (n,) of the observations; edges : (F + 1,) where frames begin in it; whiten : (n, 2, 2) 1/px
-    local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
-    inner : (F, L, 1 + camera nuisances) the residual's and those nuisances' coordinates in it
-    sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is
-        above their squares
-    clip : standard deviations for which a residual counts at most; reach : which REACHED of the residuals do not exceed
-    spread : (F, L, L) covariance of the frames' own poses on that basis where corner errors are not equal and
-        independent, else None
-    """
-
-    order: Integers
-    edges: Integers
-    whiten: Floats
-    local: Floats
-    to_local: Floats
-    inner: Floats
-    sigma: float = 1.0
-    excess: float = 0.0
-    clip: float = CLIP
-    reach: float = 0.0
-    spread: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +163,7 @@ def linearise(
     clip: float = CLIP,
     nearby_model: LinearisedModel | None = None,
     scattered: Floats | None = None,
+    as_uncertain_as: LinearisedModel | None = None,
 ) -> LinearisedModel:
     """LinearisedModel of an OperatingPoint: residuals of corners and loop closures, and their derivatives.
 
@@ -197,12 +172,15 @@ def linearise(
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most
     nearby_model : of another OperatingPoint, whose corners' derivatives are taken over where they hold here, or None
     scattered : (axes,) m, by which struts scatter beside other effects, taken where that is likelier; or None
+    as_uncertain_as : of the same frames, whose poses' covariance by their corners is taken over; or None
     """
     k = point
     if k.seen is not None:
         pixels, rows = k.pixels(), nearby_model.derivatives if nearby_model is not None else None
         rows = rows if rows is not None and rows.holds_at(k, pixels) else corner_derivatives(k, pixels)
         frames, left = _corner_frames(k, rows, pixels, clip)
+        if as_uncertain_as is not None:
+            frames = replace(frames, spread=as_uncertain_as.corners.spread)
         names: list[tuple[str, str | int]] = list(rows.names)
         priors, camera_columns = list(rows.priors), rows.camera_columns
     else:

@@ -29,6 +29,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
 from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
+CLIP = 5.0  # standard deviations for which a corner's residual counts at most
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
 SEAT_LABELS = tuple(
     f"seat {part}" for part in ("x", "y", "z", "rx", "ry", "rz")
@@ -84,6 +85,39 @@ class CornerDerivatives:
             and [seat.place for seat in point.seats] == [seat.place for seat in known.seats]
             and bool((np.abs(pixels - self.pixels) < NEAR).all())
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerFrames:
+    """Corners' rows frame by frame, and what each frame's own poses take of them.
+
+    order : (n,) of the observations; edges : (F + 1,) where frames begin in it; whiten : (n, 2, 2) 1/px
+    local : (2n, L) orthonormal basis of each frame's own poses; to_local : (F, L, L) from its coordinates to tangents
+    inner : (F, L, 1 + camera nuisances) the residual's and those nuisances' coordinates in it
+    sigma : px, noise of a corner over what its covariance said; excess : what Huber's loss of the clipped corners is
+        above their squares
+    clip : standard deviations for which a residual counts at most; reach : which REACHED of the residuals do not exceed
+    spread : (F, L, L) covariance of the frames' own poses on that basis where corner errors are not equal and
+        independent, else None
+    """
+
+    order: Integers
+    edges: Integers
+    whiten: Floats
+    local: Floats
+    to_local: Floats
+    inner: Floats
+    sigma: float = 1.0
+    excess: float = 0.0
+    clip: float = CLIP
+    reach: float = 0.0
+    spread: Floats | None = None
+
+    def total_spread(self) -> float:
+        """Sum of the variances of all frames' own poses on their basis."""
+        if self.spread is None:
+            return float(self.local.shape[1] * (len(self.edges) - 1))
+        return float(np.einsum("fll->", self.spread))
 
 
 def _effects_on_what_is_seen(point: OperatingPoint) -> list[Effect]:
@@ -174,7 +208,7 @@ def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> Corne
         found.names,
         found.priors,
         found.camera_columns,
-        smooth_image_errors(o, point.stated.cameras, order, edges, whitener[order], local),
+        smooth_image_errors(o, point.stated.cameras, order, edges, whitener[order], local, stated[::2]),
     )
 
 

@@ -57,7 +57,7 @@ GATE = 7.0  # times the scatter of the others, from which a frame or a marker's 
 SLOW = 4  # cosines of time that are free
 ROWS = 4  # frames for each number that is free in one strut
 LEAST = 0.5  # px; corners nearer than this to where they should be are no other marker's
-HELD = 2  # sightings of the platform that a frame must keep
+HELD = 2  # sightings that a frame must keep, one of them of the platform
 ALONE = (
     "measured pose and command agree with no other frame, neither the previous and next ones nor those at "
     "configurations near it"
@@ -175,8 +175,8 @@ def _wild_corners(k: OperatingPoint) -> Outliers:
     if wild.sum() > MOST * len(wild):
         return Outliers(crowd=Crowd("images of markers", int(wild.sum()), len(wild)))
     on_platform = seen.markers.on_platform[s.marker]  # without these, nothing says where the platform is
-    retained = np.bincount(s.frame[~wild & on_platform], minlength=len(k.frames))[s.frame]
-    wild &= retained >= HELD
+    retained, own = (np.bincount(s.frame[~wild & some], minlength=len(k.frames)) for some in (True, on_platform))
+    wild &= ((retained >= HELD) & (own > 0))[s.frame]
     rows, names = np.flatnonzero(wild).tolist(), [camera.name for camera in k.design.cameras]
     left_out = tuple(
         LeftOut(

@@ -9,16 +9,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtr, chdtrc
 
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision.corner_observations import Observations
 
 DEGREE = 3  # of the polynomials of a place in an image that errors may follow
 RINGS = 3  # parts of an image from its middle outwards, of as many corners each
-HEAVY = 1.1  # times the square of the middle of the errors that their mean square must be to have heavy tails
+HEAVY = 0.1  # by which the mean square of errors must exceed what their middle gives, for tails to be heavy
 LEAST = 0.05  # of the squares: errors of neighbouring corners are never quite alike
 FEW = 2.0  # corners' worth of usual errors that every part is taken to have beside its own
+CHANCE = 1e-6  # that the errors in one of all parts are as unlike the others
 PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal and independent ones
 
 
@@ -26,8 +28,8 @@ PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal a
 class SmoothImageErrors:
     """Errors that vary smoothly over each of I images of F frames, anew in each, whitened.
 
-    columns : (2n, 2K) of each corner's own image, by polynomials of mean square 1 in each direction together
-    starts, frame : (I,) each image's first row, and its frame; onto : (F, L, 2K C) on the frames' own poses
+    columns : (2n, 2K) 1/px of each corner's own image, by polynomials of mean square 1 in each direction together
+    starts, frame : (I,) each image's first corner, and its frame; onto : (F, L, 2K C) on the frames' own poses
     twice : trace of the square of what frames' own poses leave of the columns' products with each other, all frames
     size : (n,) sum of squares of each corner's rows of the columns; taken : (F,) of what the frames' own poses take
     part : (n,) each corner's camera and ring, and spare : (n,) how much of its errors' squares the poses leave
@@ -51,10 +53,13 @@ def smooth_image_errors(
     edges: Integers,
     whiten: Floats,
     local: Floats,
+    own: Booleans,
 ) -> SmoothImageErrors:
     """SmoothImageErrors of n corners in an order (n,), frame by frame and camera by camera.
 
     edges : (F + 1,) where frames begin; whiten : (n, 2, 2) 1/px; local : (2n, L) orthonormal basis of frames' own poses
+    own : (n,) whether a corner's covariance is that of its own errors alone; only such corners count, also those of the
+        base, which see the same air
     """
     o = observations
     camera, frame = o.camera[order], o.frame[order]
@@ -63,7 +68,8 @@ def smooth_image_errors(
     powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
     terms = np.stack([place[:, 0] ** i * place[:, 1] ** j for i, j in powers], axis=1)
     terms /= np.sqrt((terms**2).sum(axis=1).mean())
-    columns = np.einsum("nij,nk->nikj", whiten, terms).reshape(2 * len(order), -1)
+    leverage = (local**2).reshape(len(order), -1).sum(axis=1) / 2
+    columns = np.einsum("nij,nk->nikj", whiten * own[:, None, None], terms).reshape(2 * len(order), -1)
     starts = np.flatnonzero(np.r_[True, (np.diff(camera) != 0) | (np.diff(frame) != 0)])
     F, L, width = len(edges) - 1, local.shape[1], columns.shape[1]
     onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((len(starts), width, width))
@@ -73,11 +79,11 @@ def smooth_image_errors(
     flat = onto.reshape(F, L, -1)
     size, taken = (columns**2).sum(axis=1).reshape(-1, 2).sum(axis=1), (flat**2).sum(axis=(1, 2))
     # tr M^2 of M = blocks of the products - onto^T onto
-    own = onto[frame[starts], :, camera[starts]]
-    across = np.einsum("ila,iab,ilb->", own, products, own, optimize=True)
+    of_image = onto[frame[starts], :, camera[starts]]
+    across = np.einsum("ila,iab,ilb->", of_image, products, of_image, optimize=True)
     short = flat @ np.swapaxes(flat, 1, 2)
     twice = float((products**2).sum() - 2 * across + (short**2).sum())
-    spare = np.maximum(1 - (local**2).reshape(len(order), 2, L).sum(axis=(1, 2)) / 2, 0.05)
+    spare = np.where(own, np.maximum(1 - leverage, LEAST), 0.0)
     return SmoothImageErrors(columns, starts, frame[starts], flat, twice, size, taken, _parts(camera, place), spare)
 
 
@@ -98,23 +104,28 @@ def pose_covariance_of_unlike_errors(
 
     left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of `smooth_image_errors`
     """
-    square, F = (left**2).reshape(-1, 2).mean(axis=1), len(edges) - 1
-    level = square.sum() / errors.spare.sum()
+    F, spare, total = len(edges) - 1, errors.spare, errors.spare.sum()
+    square = np.where(spare > 0, (left**2).reshape(-1, 2).mean(axis=1), 0.0)
+    level = square.sum() / max(total, 1e-300)
     frame = np.repeat(np.arange(F), np.diff(edges))
-    shares = _shares(frame, square / level, errors.spare) * _shares(errors.part, square / level, errors.spare)
+    shares = _shares(errors.part, square / level, spare)
+    shares = shares * _shares(frame, square / level, spare * shares)
+    if (shares != 1).any():
+        shares *= total / (shares @ spare)
     v = np.add.reduceat(errors.columns * left[:, None], 2 * errors.starts, axis=0)
     seen = np.bincount(errors.frame, (v**2).sum(axis=1), F)
     mean_share = np.bincount(frame, shares, F) / np.maximum(np.bincount(frame, minlength=F), 1)
     white_alone = np.bincount(frame, shares * errors.size, F) - mean_share * errors.taken
     excess = seen - level * white_alone
     correlated = excess.sum() > PROOF * np.sqrt((excess**2).sum())
-    if (shares == 1).all() and not correlated and level < HEAVY:
+    heavy = level - 1 > max(HEAVY, PROOF / np.sqrt(total))
+    if (shares == 1).all() and not correlated and not heavy:
         return None
     white, smooth = level, 0.0
     if correlated:  # both from what all squares are, and those along the smooth columns
         left_of_columns = errors.size.sum() - errors.taken.sum()
-        A = np.array([[2 * errors.spare.sum(), left_of_columns], [white_alone.sum(), errors.twice]])
-        white, smooth = np.linalg.solve(A, [(left**2).sum(), seen.sum()])
+        A = np.array([[2 * total, left_of_columns], [white_alone.sum(), errors.twice]])
+        white, smooth = np.linalg.solve(A, [2 * square.sum(), seen.sum()])
         white, smooth = max(white, LEAST * level), max(smooth, 0.0)
     each = np.repeat(white * shares, 2)
     out = smooth * errors.onto @ np.swapaxes(errors.onto, 1, 2)
@@ -124,14 +135,18 @@ def pose_covariance_of_unlike_errors(
 
 
 def _shares(part: Integers, square: Floats, spare: Floats) -> Floats:
-    """(n,) mean square of the errors in each corner's part (n,), of what is expected there; 1 in all where parts are
-    alike.
+    """(n,) mean square of the errors in each corner's part (n,), of what is expected there; 1 in parts that chance
+    explains.
 
-    square : (n,) of each corner's, spare : (n,) expected
+    square : (n,) mean of each corner's two, spare : (n,) expected. Chance is that of chi-square, whose freedoms are
+    fewer as the errors' tails are heavier.
     """
-    n = np.maximum(np.bincount(part), 1)
-    beyond = square - spare
-    mean, spread = np.bincount(part, beyond) / n, np.sqrt((beyond**2).mean() / n)
-    if not (np.abs(mean) > PROOF * spread).any():
-        return np.ones(len(part))
-    return ((np.bincount(part, square) + FEW) / (np.bincount(part, spare) + FEW))[part]
+    seen, expected = np.bincount(part, square), np.bincount(part, spare)
+    counted = spare > 0
+    heavy = max(float(((square - spare)[counted] ** 2).mean() / (spare[counted] ** 2).mean()), 1.0)
+    freedom, sums = 2 * expected / heavy, 2 * seen / heavy
+    some = expected > 0
+    p = np.ones(len(seen))
+    p[some] = np.minimum(chdtrc(freedom[some], sums[some]), chdtr(freedom[some], sums[some]))
+    unlikely = p * some.sum() < CHANCE
+    return np.where(unlikely, (seen + FEW) / (expected + FEW), 1.0)[part]

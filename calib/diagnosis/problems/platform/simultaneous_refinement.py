@@ -25,13 +25,13 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, move_operating_point
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
-    CLIP,
     CLOSURES,
     CORNERS,
     LinearisedModel,
     linearise,
 )
 from calib.diagnosis.problems.platform.linearised_corners import (
+    CLIP,
     camera_edge_bias_nuisances,
     remounted_cube_pose_nuisances,
     repeated_corner_error,
@@ -84,11 +84,14 @@ class Refinement:
         """
         standing = min(self.point.standing, other.point.standing)
         point = replace(self.point, standing=standing)
-        own = self.model if standing == self.point.standing else linearise(point)
+        # poses as uncertain as in that of both which explains more of their corners' errors
+        alike = min((self.model, other.model), key=lambda model: model.corners.total_spread())
+        same = standing == self.point.standing and alike.corners.spread is self.model.corners.spread
+        own = self.model if same else linearise(point, as_uncertain_as=alike)
         scatter = other.model.closures.scatter
         if not scatter.any() or (scatter == own.closures.scatter).all():
             return _comparable(own)
-        return min(_comparable(own), _comparable(linearise(point, CLIP, own, scatter)))
+        return min(_comparable(own), _comparable(linearise(point, CLIP, own, scatter, alike)))
 
     def wald(self, effect: int) -> tuple[float, int]:
         """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
