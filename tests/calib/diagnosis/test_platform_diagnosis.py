@@ -120,9 +120,9 @@ def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkey
     a distorted lens takes up most of it."""
     normal, count = np.array([-0.66446, -0.24184, 0.70711]), []
 
-    def counted(*args):
+    def counted(*args, **options):
         count.append(1)
-        return linearise(*args)
+        return linearise(*args, **options)
 
     monkeypatch.setattr(simultaneous_refinement, "linearise", counted)
     text = f"refraction:cam1:thickness=0.025,normal={'/'.join(map(str, normal))}"
