@@ -95,8 +95,7 @@ class Refinement:
 
     def wald(self, effect: int) -> tuple[float, int]:
         """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
-        its shape held:
-        a shape that its size leaves open says nothing against it."""
+        its shape held: a shape that its size leaves open says nothing against it."""
         seen = np.diag(self.covariance) > 0  # what moves nothing has no covariance, and says nothing
         own = [i for i, c in enumerate(self.coordinates) if c.effect == effect and seen[i]]
         if not own:
@@ -365,9 +364,7 @@ def _constant(model: LinearisedModel) -> float:
 
 
 def _comparable(model: LinearisedModel) -> float:
-    """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it
-    included.
-    """
+    """Minus twice the log likelihood, Huber's for corners, but for a constant; noise's and scatter's share included."""
     return model.linear.cost() + model.corners.excess + _constant(model) + cost_of_priors(model.point.effects)
 
 
