@@ -149,17 +149,13 @@ def compile_kernels_for_run(design: Design, in_two_processes: bool = False) -> b
     if not is_hexapod(m) or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return False
     if in_two_processes:
-        parallel_map(partial(_compile_part, design, m), [_compile_images, _compile_poses], items_per_process=1)
+        parallel_map(lambda part: part(design, m), [_compile_images, _compile_poses], items_per_process=1)
     markers, live = marker_map(design), Live(design)
     live.take(0, render_marker_images(design.cameras, m.home, markers))
     live.close()
     _compile_images(design, m)
     _compile_poses(design, m)
     return True
-
-
-def _compile_part(design: Design, m: Hexapod, part: Callable[[Design, Hexapod], None]) -> None:
-    part(design, m)
 
 
 def _compile_images(design: Design, m: Hexapod) -> None:

@@ -13,7 +13,7 @@ import argparse
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from calib.api.diagnose import diagnose
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.errors import RigError
 from rig.recording import recording_folder
+from rig.recording.recording_tables import Corners
 from synthetic.unlisted_effects_and_corner_noise import DISTURBANCES
 from tests.bench.accusations import drawn_recording
 from tests.truth import PLANS, draw, record
@@ -33,7 +34,6 @@ RECORDINGS = 20
 KINDS = {"hexapod": 100, "arm": 100, "planar2": 80, "chain": 80}  # configurations that are visited
 OTHERS = ("arm", "planar2", "chain")
 FRAMES = 100  # of a recording of corners
-WANTED = {False: "<= 3 of 1000", True: "<= 1 of 200"}  # of corners or not
 
 
 @dataclass(frozen=True)
@@ -84,23 +84,24 @@ class QuietCorners:
     kind = "hexapod"
 
     @property
+    def disturb(self) -> Callable[..., Corners] | None:
+        """What spoils the corners, None for nothing."""
+        return (None, *DISTURBANCES)[self.number % (len(DISTURBANCES) + 1)]
+
+    @property
     def spoils(self) -> str:
         """What is unusual about the corners."""
-        which = self.number % (len(DISTURBANCES) + 1)
-        name = DISTURBANCES[which - 1].__name__.removeprefix("_add_") if which else "plain"
+        name = "plain" if self.disturb is None else self.disturb.__name__.removeprefix("_add_")
         return f"corners, {name.replace('_', ' ')}"
 
     def findings(self) -> list[str]:
         """As those of Quiet."""
-        which = self.number % (len(DISTURBANCES) + 1)
         with tempfile.TemporaryDirectory() as folder:
             _, read, noise = drawn_recording(self.seed + self.number, Path(folder), FRAMES)
-            assert read.corners is not None
-            if which:
+            if self.disturb is not None:
                 rng = np.random.default_rng([self.seed, self.number])
-                read = replace(read, corners=DISTURBANCES[which - 1](read.corners, read.design, noise, rng))
-            found = diagnose(read).found
-        return _named(found)
+                read = replace(read, corners=self.disturb(read.corners, read.design, noise, rng))
+            return _named(diagnose(read).found)
 
 
 def _named(found: Diagnosis) -> list[str]:
@@ -116,7 +117,7 @@ def campaign(
     """(recordings, false ones, refused ones), each by what is unusual.
 
     report : whether each false one is printed; only : what is unusual about those that are diagnosed, None for all;
-    corners : whether they are of corners
+    corners : whether they are recordings of corners, not of poses
     """
     done, false, refused = Counter[str](), Counter[str](), Counter[str]()
     for number in range(count):
@@ -147,8 +148,9 @@ def rows(
     for what in sorted(done):
         yield f"quiet recordings, {what}: with a finding", f"{false[what]} of {done[what]}", ""
     n, k = done.total(), false.total()
+    wanted = "<= 1 of 200" if corners else "<= 3 of 1000"
     high = float(beta.ppf(0.95, k + 1, n - k)) if k < n else 1.0
-    yield "all: with a finding (95 % upper bound of the share)", f"{k} of {n} (< {high:.2%})", WANTED[corners]
+    yield ("all: with a finding (95 % upper bound of the share)", f"{k} of {n} (< {high:.2%})", wanted)
     yield "refused, with the reason", f"{refused.total()} of {n + refused.total()}", ""
     spent = (time.process_time() - start) / max(n + refused.total(), 1)
     yield "one recording, of one processor", f"{spent:.2f} s", ""

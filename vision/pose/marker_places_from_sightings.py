@@ -66,7 +66,8 @@ def marker_places_from_sightings(
         rows = _largest_group(pairs, len(matrices))
         if not len(rows):
             continue
-        placed = _averaged(pairs, rows, _along_tree(pairs, rows))
+        own = [pair for pair in pairs if pair.first in rows]
+        placed = _averaged(own, rows, _along_tree(own, rows))
         matrices[rows], found[rows] = _at_stated_places(placed, rows, marker_map), True
     return replace(marker_map, T_body_marker=RigidTransform.from_matrix(matrices)), found
 
@@ -172,12 +173,11 @@ def _graph(pairs: Sequence[_Pair], count: int) -> csr_array:
 
 def _along_tree(pairs: Sequence[_Pair], rows: Integers) -> Floats:
     """(r, 4, 4) T_root_marker of rows (r,) along the tree of pairs with most images; the root is the best linked."""
-    own = [pair for pair in pairs if pair.first in rows]
-    links = {(p.first, p.second): p.matrix for p in own}
-    links |= {(p.second, p.first): inverse_pose(p.matrix) for p in own}
-    tree = csgraph.minimum_spanning_tree(_graph(own, int(rows.max()) + 1))
+    links = {(p.first, p.second): p.matrix for p in pairs}
+    links |= {(p.second, p.first): inverse_pose(p.matrix) for p in pairs}
+    tree = csgraph.minimum_spanning_tree(_graph(pairs, int(rows.max()) + 1))
     agreeing = np.zeros(len(rows))
-    for pair in own:
+    for pair in pairs:
         agreeing[np.searchsorted(rows, [pair.first, pair.second])] += pair.agreeing
     root = int(rows[np.argmax(agreeing)])
     order, before = csgraph.breadth_first_order(tree, root, directed=False)
@@ -191,9 +191,8 @@ def _averaged(pairs: Sequence[_Pair], rows: Integers, start: Floats) -> Floats:
     """(r, 4, 4) places of rows (r,) that agree with all pairs best, each counted by its images; pairs that contradict
     the start count nothing.
     """
-    own = [pair for pair in pairs if pair.first in rows]
-    i, j = (np.searchsorted(rows, [getattr(pair, end) for pair in own]) for end in ("first", "second"))
-    relative, weight = np.array([pair.matrix for pair in own]), np.array([float(pair.agreeing) for pair in own])
+    i, j = (np.searchsorted(rows, [getattr(pair, end) for pair in pairs]) for end in ("first", "second"))
+    relative, weight = np.array([pair.matrix for pair in pairs]), np.array([float(pair.agreeing) for pair in pairs])
     R = start[:, :3, :3].copy()
     for _ in range(SWEEPS):
         expected = R[i] @ relative[:, :3, :3]
@@ -209,9 +208,9 @@ def _averaged(pairs: Sequence[_Pair], rows: Integers, start: Floats) -> Floats:
         R = U @ Vt
         if moved < SETTLED:
             break
-    step, links = (R[i] @ relative[:, :3, 3:])[..., 0], np.zeros((len(own) + 1, len(rows)))
-    links[np.arange(len(own)), i], links[np.arange(len(own)), j], links[-1, 0] = -1, 1, 1
-    out, scale = start.copy(), np.ones(len(own))
+    step, links = (R[i] @ relative[:, :3, 3:])[..., 0], np.zeros((len(pairs) + 1, len(rows)))
+    links[np.arange(len(pairs)), i], links[np.arange(len(pairs)), j], links[-1, 0] = -1, 1, 1
+    out, scale = start.copy(), np.ones(len(pairs))
     out[:, :3, :3] = R
     for _ in range(SWEEPS // 4):
         root = np.sqrt(np.append(share * scale, 1.0))[:, None]

@@ -223,14 +223,8 @@ def _confirm_term(
     replaces = len(changes.replaced) < RESTARTS * policy.most
     model, size, term = problem.without_term(fit, number), problem.size(fit), problem.terms(fit)[number]
     scanned, held = problem.rescored(model, fit, number), problem.given.holds(term)
-    own = scanned
     bare = cache(lambda: problem.remove_term(fit, number))
-    # a scan without the term counts what it explains as scatter of its axis
-    hides_itself = term.site.is_axis and policy.hidden > 0
-    if not is_significant(own, count, size, policy) and (
-        hides_itself or may_become_significant_when_fitted(own, count, size, policy)
-    ):
-        own = score_raised_to_likelihood_ratio(own, problem.likelihood_ratio(bare(), fit), problem.linear(model).frames)
+    own = _score_as_fitted(problem, model, fit, term, scanned, bare)
     if not held and not is_significant_alone_or_with_other_axes(problem, fit, number, own):  # beside all others
         return bare(), None
     member = None if held or not replaces else _likelier_member(problem, model, fit, number, scanned, changes.replaced)
@@ -272,6 +266,21 @@ def _confirm_term(
     finding = Finding(number, own, [a for a in ranked if is_indistinguishable(a, policy)])
     scans.keep_alternatives(others, own, finding.alternatives)
     return fit, finding
+
+
+def _score_as_fitted(
+    problem: Problem[Fit, Model, C], model: Model, fit: Fit, term: C, scanned: Score[C], bare: Callable[[], Fit]
+) -> Score[C]:
+    """The Score of a term that a scan of a model without it gave, raised to what the Fit shows where the scan may have
+    taken what the term explains for scatter of its axis. bare : makes the Fit without the term"""
+    policy, count, size = problem.policy, len(problem.candidates), problem.size(fit)
+    if is_significant(scanned, count, size, policy):
+        return scanned
+    hides_itself = term.site.is_axis and policy.hidden > 0
+    if not hides_itself and not may_become_significant_when_fitted(scanned, count, size, policy):
+        return scanned
+    ratio = problem.likelihood_ratio(bare(), fit)
+    return score_raised_to_likelihood_ratio(scanned, ratio, problem.linear(model).frames)
 
 
 def _takes_over(problem: Problem[Fit, Model, C], fit: Fit, number: int, tried: Refit[Fit, C]) -> bool:

@@ -190,7 +190,8 @@ class Sensitivities:
 
     point: OperatingPoint
     pixels: dict[tuple[object, ...], tuple[Integers, Floats]] = field(default_factory=dict)
-    split: dict[tuple[object, ...], tuple[object, Floats, Floats]] = field(default_factory=dict)  # by frames' own poses
+    # {(effect, place, columns, other values): (CornerDerivatives, in frames' own poses (F, L, q), rest (2n, q))}
+    split: dict[tuple[object, ...], tuple[object, Floats, Floats]] = field(default_factory=dict)
     without: dict[str, Floats] = field(default_factory=dict)  # by place, what is seen at this very point
     commanded: Floats | None = None  # what is effectively commanded there, once it is known
 

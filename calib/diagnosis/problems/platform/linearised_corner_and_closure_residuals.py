@@ -243,8 +243,7 @@ def _corner_frames(
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
     projected, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
     inner = np.concatenate([projected, rows.inner / sigma], axis=2)
-    fitted = left[:, 0] - rows.table @ (rows.free @ (rows.free.T @ (rows.table.T @ left[:, 0])))
-    spread = pose_covariance_of_unlike_errors(rows.smooth, fitted, local, edges)
+    spread = pose_covariance_of_unlike_errors(rows.smooth, rows.without_nuisances(left[:, 0]), local, edges)
     return (
         CornerFrames(
             rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach, spread
@@ -260,8 +259,7 @@ def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None)
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        poses = to_length if frames.spread is None else to_length @ frames.spread
-        covariance = loop_covariance_with_length_resolution(poses @ np.swapaxes(to_length, 1, 2))
+        covariance = loop_covariance_with_length_resolution(frames.pose_covariance(to_length))
     inner = frames.inner
     rows = np.concatenate(
         [
@@ -289,14 +287,8 @@ def _noise(left: Floats, rows: CornerDerivatives, lost: int) -> float:
     """What standard deviations must be multiplied by, from the middle of the corners' residuals left (2n,) where
     covariances are corners' own. lost : freedoms that the frames' own poses took
     """
-    own, V, half = rows.own, rows.table, rows.free
-    left = np.clip(left, -WILD, WILD)
-    left = left - V @ (half @ (half.T @ (V.T @ left)))
-    return float(
-        np.sqrt(
-            np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))
-        )
-    )
+    left, own = rows.without_nuisances(np.clip(left, -WILD, WILD)), rows.own if rows.own.any() else slice(None)
+    return float(np.sqrt(np.median(left[own] ** 2) / MEDIAN / (1 - (lost + rows.free.shape[1]) / len(left))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

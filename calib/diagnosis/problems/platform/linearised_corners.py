@@ -14,7 +14,7 @@ from calib.diagnosis.problems.platform.pose_covariance_of_correlated_corner_erro
     SmoothImageErrors,
     smooth_image_errors,
 )
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT, Place
@@ -63,13 +63,17 @@ class CornerDerivatives:
     inner: Floats
     gram: Floats
     free: Floats
-    own: Floats
+    own: Booleans
     local: Floats
     to_local: Floats
     names: list[tuple[str, str]]
     priors: list[float]
     camera_columns: dict[int, list[int]]
     smooth: SmoothImageErrors
+
+    def without_nuisances(self, left: Floats) -> Floats:
+        """(2n,) whitened residuals left with what the nuisances explain of them taken out."""
+        return left - self.table @ (self.free @ (self.free.T @ (self.table.T @ left)))
 
     def holds_at(self, point: OperatingPoint, pixels: Floats) -> bool:
         """Whether the derivatives hold at another OperatingPoint that predicts pixels (n, 2) px: the same corners, as
@@ -112,6 +116,10 @@ class CornerFrames:
     clip: float = CLIP
     reach: float = 0.0
     spread: Floats | None = None
+
+    def pose_covariance(self, along: Floats) -> Floats:
+        """Covariance (F, k, k) of combinations along (F, k, L) of the coordinates of the frames' own poses."""
+        return (along if self.spread is None else along @ self.spread) @ np.swapaxes(along, 1, 2)
 
     def total_spread(self) -> float:
         """Sum of the variances of all frames' own poses on their basis."""

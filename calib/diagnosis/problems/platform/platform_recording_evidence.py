@@ -243,9 +243,8 @@ class PlatformEvidence:
 
     def noise(self, selection: PlatformSelection) -> Noise:
         model = selection.fit.refined.model
-        k, to_local = model.point, model.corners.to_local[:, :6]
-        poses = to_local if model.corners.spread is None else to_local @ model.corners.spread
-        covariance = k.own if k.own is not None else poses @ np.swapaxes(to_local, 1, 2)
+        k, corners = model.point, model.corners
+        covariance = k.own if k.own is not None else corners.pose_covariance(corners.to_local[:, :6])
         if k.seen is None:
             source = ASSUMED_NOISE if k.assumed else STATED
         else:

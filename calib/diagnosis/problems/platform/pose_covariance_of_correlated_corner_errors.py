@@ -2,7 +2,8 @@
 
 Air, vibration and a finder's habits move neighbouring corners alike, corners far from an image's middle may scatter
 more, and some far more than usual. The poses then scatter by more than equal and independent errors make of them, and
-no strut is to blame for that.
+no strut is to blame for that. The sizes of the errors are estimated by moments (Rao and Kleffe, Estimation of variance
+components and applications, 1988); what they make of poses is White's covariance (Econometrica 48, 1980, 817-838).
 """
 
 from collections.abc import Sequence
@@ -106,7 +107,9 @@ def pose_covariance_of_unlike_errors(
     """
     F, spare, total = len(edges) - 1, errors.spare, errors.spare.sum()
     square = np.where(spare > 0, (left**2).reshape(-1, 2).mean(axis=1), 0.0)
-    level = square.sum() / max(total, 1e-300)
+    if not square.any():
+        return None  # corners without errors, or none whose covariance is their own
+    level = square.sum() / total
     frame = np.repeat(np.arange(F), np.diff(edges))
     shares = _shares(errors.part, square / level, spare)
     shares = shares * _shares(frame, square / level, spare * shares)
