@@ -62,12 +62,13 @@ class Trial:
     """misfit : px, RMS of the corners' distances from where they ought to be, none more than LOST; seen : what was
     tried;
     measured : Measurement, None where nothing could be solved; miss : (n,) px per corner in the observations' order, or
-        None."""
+        None; reason : why nothing could be solved."""
 
     misfit: float
     seen: SampledRecording
     measured: Measurement | None
     miss: Floats | None
+    reason: str = ""
 
 
 def sample_frames(
@@ -124,8 +125,8 @@ def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "l
         measured = measure_observations(
             observations_from_corners(corners, sample.frames, sample.design, markers), sample.design, markers, free
         )
-    except (NotEnoughData, RigError, np.linalg.LinAlgError):
-        return Trial(LOST, sample, None, None)
+    except (NotEnoughData, RigError, np.linalg.LinAlgError) as error:
+        return Trial(LOST, sample, None, None, str(error))
     o = measured.observations
     miss = np.minimum(np.nan_to_num(np.linalg.norm(measured.residuals, axis=1), nan=LOST), LOST)
     poor = sorted(

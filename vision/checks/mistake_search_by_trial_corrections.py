@@ -129,10 +129,10 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
         first.misfit > bound
         and measure_trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit
     ):
+        lie = f"corners lie {first.misfit:.3g} px RMS from their expected positions"
         return [
             Mistake(
-                f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from their expected "
-                f"positions, and {unexplained}",
+                f"corners and rig.toml do not agree: {first.reason or lie}; {unexplained}",
                 "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and "
                 "size of the cameras",
                 first.misfit > 0.8 * LOST,

@@ -56,3 +56,12 @@ def test_a_small_rig_that_is_as_stated_is_not_accused_of_its_cubes_edges(tmp_pat
     assert read.corners is not None
     found = find_corner_mistakes(read, read.corners, thorough=True)
     assert not any("edge" in mistake.what for mistake in found), found
+
+
+def test_a_platform_that_no_camera_sees_is_given_as_the_reason(tmp_path: Path) -> None:
+    """Said before: corners lie 20 px from their expected positions, which nobody can look into."""
+    setup(3022, tmp_path / "rec", 40)
+    read = recording_folder.load_recording(tmp_path / "rec")
+    assert read.corners is not None
+    (found,) = find_corner_mistakes(read, read.corners)
+    assert "frames could be solved: no marker of the body is seen" in found.what and "px RMS" not in found.what
