@@ -21,6 +21,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic.recording_simulation import PictureWriter
 from vision.checks import find_corner_mistakes
 
 SETUPS = 100
@@ -44,13 +45,15 @@ class Setup:
         return tuple(one for one in self.found if one.spoils or not ROUGH.match(one.what))
 
 
-def drawn_recording(number: int, folder: Path, frames: int | None = None) -> tuple[str, Recording, float]:
+def drawn_recording(
+    number: int, folder: Path, frames: int | None = None, images: PictureWriter | None = None
+) -> tuple[str, Recording, float]:
     """(a set-up of a number in words, its recording, written to a folder, px that its corners scatter): rough cameras,
     in every second one lenses that nobody stated.
-    frames : how many, None drawn
+    frames : how many, None drawn; images : what draws its images, all of SIZES' smallest, in place of corners
     """
     rng = np.random.default_rng((28, number))
-    width, height = SIZES[rng.integers(len(SIZES))]
+    width, height = SIZES[rng.integers(1 if images else len(SIZES))]
     count, cubes, radius = int(rng.integers(2, 6)), int(rng.integers(3, 6)), float(rng.uniform(0.15, 0.6))
     frames = int(rng.choice([4, 6, 10, 24, 60])) if frames is None else frames
     noise, lensless = float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))), number % 2 == 0
@@ -64,7 +67,7 @@ def drawn_recording(number: int, folder: Path, frames: int | None = None) -> tup
     cameras = tuple(_real(camera, rng, lensless, min(1.0, radius / 0.3)) for camera in secret.true.cameras)
     secret = replace(secret, true=replace(secret.true, cameras=cameras))
     done = recording_simulation.simulate_world(secret, plan.build_plan(stated, f"sobol:{frames}", number), rng)
-    recording_simulation.write_recording(done, folder, text, rng, noise)
+    recording_simulation.write_recording(done, folder, text, rng, noise, images)
     words = (
         f"{number}: radius {radius:.2f} m, {count} cameras {width}x{height}, {cubes} cubes, {frames} frames, "
         f"noise {noise:.2f} px" + (", no lens stated" if lensless else "")

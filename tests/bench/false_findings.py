@@ -1,12 +1,13 @@
 """Quiet recordings, at pose level of the independent truth: how many of them a diagnosis finds something in.
 
-python -m tests.bench false_findings [--recordings N] [--seed S] [--only SPOILS] [--corners]
+python -m tests.bench false_findings [--recordings N] [--seed S] [--only SPOILS] [--corners | --images]
 
 Nothing is hidden in them. Every fourth is of an arm, two struts or a chain; every fifth has 5 % of wild rows, every
 seventh a noise that its rig.toml states half as large, every eleventh 25 configurations alone. With `--corners` they
 are set-ups of `accusations`, seen by cameras that stand elsewhere than stated and, in every second one, through lenses
 that nobody stated; five of six have corners that are spoilt as no effect spoils them: by air, outliers, uneven or
-heavy-tailed noise, shaken frames.
+heavy-tailed noise, shaken frames. With `--images` the images of such set-ups are drawn by a sensor of their own and
+measured, which takes half a minute each.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.stats import beta
@@ -23,8 +25,10 @@ from scipy.stats import beta
 from calib.api.diagnose import diagnose
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.errors import RigError
+from rig.model.design import Sensor
 from rig.recording import recording_folder
 from rig.recording.recording_tables import Corners
+from synthetic.image_simulation import Images
 from synthetic.unlisted_effects_and_corner_noise import DISTURBANCES
 from tests.bench.accusations import drawn_recording
 from tests.truth import PLANS, draw, record
@@ -34,9 +38,10 @@ RECORDINGS = 20
 KINDS = {"hexapod": 100, "arm": 100, "planar2": 80, "chain": 80}  # configurations that are visited
 OTHERS = ("arm", "planar2", "chain")
 FRAMES = 100  # of a recording of corners
+PICTURES = 40  # frames of a recording of images
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Quiet:
     """One recording. number, of the campaign; seed; kind, plan; spoils : what is unusual about it"""
 
@@ -75,13 +80,13 @@ class Quiet:
         return _named(found)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class QuietCorners:
     """One recording of corners. number, of the campaign; seed"""
 
     number: int
     seed: int
-    kind = "hexapod"
+    kind: ClassVar = "hexapod"
 
     @property
     def disturb(self) -> Callable[..., Corners] | None:
@@ -104,6 +109,41 @@ class QuietCorners:
             return _named(diagnose(read).found)
 
 
+@dataclass(frozen=True, slots=True)
+class QuietImages:
+    """One recording of images. number, of the campaign; seed"""
+
+    number: int
+    seed: int
+    kind: ClassVar = "hexapod"
+
+    @property
+    def images(self) -> Images:
+        """What draws it: every third sensor is out of focus, every fourth background cluttered, light falls off."""
+        rng = np.random.default_rng([self.seed, self.number])
+        sensor = Sensor(
+            blur=rng.uniform(0.3, 0.9),
+            defocus=rng.uniform(0.8, 2.0) if self.number % 3 == 2 else 0.0,
+            vignetting=rng.uniform(0.0, 0.5),
+            gain=rng.uniform(120.0, 230.0),
+            read_noise=rng.uniform(0.5, 3.0),
+            electrons=rng.uniform(20.0, 200.0),
+        )
+        return Images(sensor, "cluttered" if self.number % 4 == 3 else "plain", processes=1)
+
+    @property
+    def spoils(self) -> str:
+        """What is unusual about the images."""
+        images = self.images
+        return f"images, {images.background}{', out of focus' if images.sensor.defocus else ''}"
+
+    def findings(self) -> list[str]:
+        """As those of Quiet."""
+        with tempfile.TemporaryDirectory() as folder:
+            _, read, _ = drawn_recording(self.seed + self.number, Path(folder), PICTURES, self.images)
+            return _named(diagnose(read).found)
+
+
 def _named(found: Diagnosis) -> list[str]:
     """Names and places of what a diagnosis finds or leaves unknown."""
     return [f"{effect.name} at {effect.place}" for effect in found.effects] + [
@@ -111,17 +151,43 @@ def _named(found: Diagnosis) -> list[str]:
     ]
 
 
+class QuietRecording(Protocol):
+    """One recording of a campaign, in which nothing is hidden."""
+
+    @property
+    def kind(self) -> str:
+        """Kind of the machine."""
+
+    @property
+    def spoils(self) -> str:
+        """What is unusual about the recording."""
+
+    def findings(self) -> list[str]:
+        """Names and places of what the diagnosis finds or leaves unknown. Raises RigError where it refuses."""
+
+
+WANTED: dict[Callable[[int, int], QuietRecording], str] = {
+    Quiet: "<= 3 of 1000",
+    QuietCorners: "<= 1 of 200",
+    QuietImages: "0 of 100",
+}
+
+
 def campaign(
-    count: int, seed: int, report: bool = False, only: str | None = None, corners: bool = False
+    count: int,
+    seed: int,
+    report: bool = False,
+    only: str | None = None,
+    draw_recording: Callable[[int, int], QuietRecording] = Quiet,
 ) -> tuple[Counter[str], Counter[str], Counter[str]]:
     """(recordings, false ones, refused ones), each by what is unusual.
 
     report : whether each false one is printed; only : what is unusual about those that are diagnosed, None for all;
-    corners : whether they are recordings of corners, not of poses
+    draw_recording : (number of the campaign, seed) -> recording
     """
     done, false, refused = Counter[str](), Counter[str](), Counter[str]()
     for number in range(count):
-        one = QuietCorners(number, seed) if corners else Quiet(number, seed)
+        one = draw_recording(number, seed)
         if only not in (None, one.spoils):
             continue
         what = one.spoils if one.kind == "hexapod" else f"{one.kind}, {one.spoils}"
@@ -140,17 +206,20 @@ def campaign(
 
 
 def rows(
-    count: int = RECORDINGS, seed: int = 31000, report: bool = False, only: str | None = None, corners: bool = False
+    count: int = RECORDINGS,
+    seed: int = 31000,
+    report: bool = False,
+    only: str | None = None,
+    draw_recording: Callable[[int, int], QuietRecording] = Quiet,
 ) -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     start = time.process_time()
-    done, false, refused = campaign(count, seed, report, only, corners)
+    done, false, refused = campaign(count, seed, report, only, draw_recording)
     for what in sorted(done):
         yield f"quiet recordings, {what}: with a finding", f"{false[what]} of {done[what]}", ""
     n, k = done.total(), false.total()
-    wanted = "<= 1 of 200" if corners else "<= 3 of 1000"
     high = float(beta.ppf(0.95, k + 1, n - k)) if k < n else 1.0
-    yield ("all: with a finding (95 % upper bound of the share)", f"{k} of {n} (< {high:.2%})", wanted)
+    yield ("all: with a finding (95 % upper bound of the share)", f"{k} of {n} (< {high:.2%})", WANTED[draw_recording])
     yield "refused, with the reason", f"{refused.total()} of {n + refused.total()}", ""
     spent = (time.process_time() - start) / max(n + refused.total(), 1)
     yield "one recording, of one processor", f"{spent:.2f} s", ""
@@ -162,8 +231,11 @@ def main(words: list[str]) -> None:
     parser.add_argument("--recordings", type=int, default=RECORDINGS)
     parser.add_argument("--seed", type=int, default=31000)
     parser.add_argument("--only", help="diagnose only those of this kind, for example 'noise stated by half'")
-    parser.add_argument("--corners", action="store_true", help="recordings of corners, cameras to be adjusted")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--corners", action="store_true", help="recordings of corners, cameras to be adjusted")
+    what.add_argument("--images", action="store_true", help="recordings of images, to be drawn and measured")
     arguments = parser.parse_args(words)
-    found = rows(arguments.recordings, arguments.seed, True, arguments.only, arguments.corners)
+    draw_recording = QuietImages if arguments.images else QuietCorners if arguments.corners else Quiet
+    found = rows(arguments.recordings, arguments.seed, True, arguments.only, draw_recording)
     for figure, reached, wanted in found:
         print(f"{figure:78} {reached:>34}   {wanted}", flush=True)
