@@ -3,7 +3,6 @@
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -92,17 +91,6 @@ def test_a_camera_that_fails_is_named(tmp_path, old, new, message):
 def test_a_file_that_is_no_camera_is_refused_with_its_line(tmp_path, old, new, message):
     with pytest.raises(FileError, match=message):
         open_camera(written(tmp_path, old, new), Ticking())
-
-
-def test_an_entry_point_of_a_package_is_a_camera(tmp_path, monkeypatch):
-    (tmp_path / "mine_eyes.py").write_text(FILE)
-    monkeypatch.syspath_prepend(tmp_path)
-    point = SimpleNamespace(name="mine", value="mine_eyes:Mine", load=lambda: __import__("mine_eyes").Mine)
-    monkeypatch.setattr(
-        "rig.driving.user_classes_and_sensor_reader.entry_points",
-        lambda group: [point] if group == "rig.cameras" else [],
-    )
-    assert open_camera(camera("package:mine"), Ticking()).grab().image.shape == SIZE[::-1]
 
 
 def test_a_program_is_run_for_each_image(tmp_path):

@@ -1,15 +1,12 @@
 """A protocol of the user's own: what is wrong with its file is told with file and line, before and while it drives."""
 
-import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.protocol_selection_and_user_protocols import protocol_of_controller
-from rig.errors import ControllerFault, FileError, RigError
+from rig.errors import ControllerFault, FileError
 from tests.conftest import ROOT
 
 TEMPLATE = (ROOT / "rig" / "driving" / "example_protocol_with_emulator.py").read_text()
@@ -65,29 +62,6 @@ def test_a_file_that_is_not_there_or_behind_a_url_is_not_run(tmp_path, driven_de
     for place, message in ((tmp_path / "none.py", "cannot be read"), ("https://host/mine.py", "behind a URL")):
         with pytest.raises(FileError, match=message):
             protocol_of_controller(replace(driven_design.controller, protocol=f"file:{place}"), driven_design.mechanism)
-
-
-def test_an_entry_point_of_a_package_is_a_protocol(tmp_path, driven_design, monkeypatch):
-    (tmp_path / "acme_rig.py").write_text(TEMPLATE)
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def load():
-        __import__("acme_rig")
-        return sys.modules["acme_rig"].Acme
-
-    point = SimpleNamespace(name="acme", value="acme_rig:Acme", load=load)
-    monkeypatch.setattr(
-        "rig.driving.user_classes_and_sensor_reader.entry_points",
-        lambda group: [point] if group == "rig.protocols" else [],
-    )
-    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "package:acme")
-    driver.open()
-    driver.home()
-    goal = driver.lengths() + 1e-3
-    driver.move(goal)
-    np.testing.assert_allclose(emulator.machine.axes.at(clock.now()), goal, atol=1e-9)
-    with pytest.raises(RigError, match=r"no installed package has 'acmee' among .* rig.protocols; there are acme"):
-        emulated_driver_with_emulator_and_clock(driven_design, "package:acmee")
 
 
 def test_a_move_is_sent_once_and_a_question_again(tmp_path, driven_design):
