@@ -12,7 +12,7 @@ programs, `plan_run` begins a run of the machine. `load` and `save` are of calib
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
+from rig.compute.numba_kernels_and_lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions as CalibrateOptions
@@ -78,7 +78,7 @@ __all__ = [
     "ExportOptions",
     "RunOptions",
 ]
-__getattr__ = lazy_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "plan": "calib.api.plan",

@@ -7,7 +7,7 @@
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr, set_kernel_cache_folder
+from rig.compute.numba_kernels_and_lazy_exports import lazy_exports, set_kernel_cache_folder
 
 if TYPE_CHECKING:
     from rig.api import CheckResult as CheckResult
@@ -39,7 +39,7 @@ __all__ = [
     "CheckResult",
     "RigError",
 ]
-__getattr__ = lazy_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__,
     {
         **dict.fromkeys(("load", "save", "plan", "check", "CheckResult", "PlannedConfigurations"), "rig.api"),

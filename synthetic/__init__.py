@@ -6,7 +6,7 @@
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
+from rig.compute.numba_kernels_and_lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from synthetic.api import ImageOptions as ImageOptions
@@ -16,4 +16,4 @@ if TYPE_CHECKING:
     from synthetic.api import simulate_with_and_without_findings as simulate_with_and_without_findings
 
 __all__ = ["simulate", "simulate_with_and_without_findings", "SimulateOptions", "ImageOptions", "SimulationResult"]
-__getattr__ = lazy_getattr(__name__, dict.fromkeys(__all__, "synthetic.api"))
+__getattr__, __dir__ = lazy_exports(__name__, dict.fromkeys(__all__, "synthetic.api"))

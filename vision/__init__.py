@@ -6,7 +6,7 @@ every frame with covariance, cameras as adjusted.
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_getattr
+from rig.compute.numba_kernels_and_lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from vision.api import MeasurementResult as MeasurementResult
@@ -14,6 +14,6 @@ if TYPE_CHECKING:
     from vision.api import measure as measure
 
 __all__ = ["measure", "MeasureOptions", "MeasurementResult"]
-__getattr__ = lazy_getattr(
+__getattr__, __dir__ = lazy_exports(
     __name__, {**dict.fromkeys(("measure", "MeasureOptions"), "vision.api"), "MeasurementResult": "vision.api"}
 )

@@ -283,8 +283,8 @@ def njit(**options: Unpack[CompilerOptions]) -> Callable[[F], F]:
     return kernel
 
 
-def lazy_getattr(package: str, modules: Mapping[str, str]) -> Callable[[str], object]:
-    """The `__getattr__` of a package that imports the module of a name lazily.
+def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """The `__getattr__` of a package that imports the module of a name lazily, and the `__dir__` that lists its names.
     modules : {name: "module" that has it under that name, or "module:other name"}
     """
 
@@ -294,4 +294,4 @@ def lazy_getattr(package: str, modules: Mapping[str, str]) -> Callable[[str], ob
         module, _, other = modules[name].partition(":")
         return getattr(import_module(module), other or name)
 
-    return attribute
+    return attribute, lambda: sorted({*modules, *vars(import_module(package))})
