@@ -13,6 +13,7 @@ import numpy as np
 from rig.array_and_json_types import Json
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.output_files import write_text
+from rig.formats.pandas_tables import DataFrame, pandas_table_of_columns, pandas_table_of_poses
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
@@ -102,6 +103,32 @@ class MeasurementResult(OneLineRepr):
         missed = [f"frame {frame} has no pose: {reason}" for frame, reason in list(m.unsolved.items())[:NAMED]]
         used = f"corners scatter by {m.noise:.4f} px; {m.inliers.sum()} of {len(m.inliers)} used"
         return result_html(str(self), [used, *map(str, self.suspects), *missed])
+
+    def to_pandas(self) -> DataFrame:
+        """DataFrame of the poses, as `pandas_table_of_poses` has it. Raises MissingLibrary without pandas."""
+        m = self.measurement
+        return pandas_table_of_poses(m.frames, m.T_base_platform, m.covariance)
+
+    def residuals_to_pandas(self) -> DataFrame:
+        """DataFrame of the corners: frame, camera, marker, corner, `u_px`, `v_px`, their residuals, and whether used.
+
+        Residuals are NaN where a frame has no pose. Raises MissingLibrary without pandas
+        """
+        corners, parts = self.measurement.corners(), (self.measurement, *self.measurement.stages.values())
+        residuals = np.concatenate([part.residuals for part in parts])
+        return pandas_table_of_columns(
+            {
+                "frame": corners.frame,
+                "camera": corners.camera,
+                "marker": corners.marker,
+                "corner": corners.corner,
+                "u_px": corners.uv[:, 0],
+                "v_px": corners.uv[:, 1],
+                "residual_u_px": residuals[:, 0],
+                "residual_v_px": residuals[:, 1],
+                "used": np.concatenate([part.inliers for part in parts]),
+            }
+        )
 
     def write(self, folder: Path) -> None:
         """Write it as a recording into a folder: rig.toml with cameras as adjusted, poses.csv, rpy.csv, corners.csv and

@@ -34,6 +34,7 @@ from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, parse_effect_and_place, require_known_effect
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
+from rig.formats.pandas_tables import DataFrame, pandas_table
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
@@ -42,6 +43,7 @@ from rig.report.verdict_refutations_and_result_display import OneLineRepr, State
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()
+FINDING_COLUMNS = ("effect", "place", "parameter", "value", "low_95", "high_95", "unit")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +114,12 @@ class DiagnosisResult(OneLineRepr):
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         return result_html(str(self)) + self.report._repr_html_()
+
+    def to_pandas(self) -> DataFrame:
+        """DataFrame of FINDING_COLUMNS, a row for each finding's parameter. Raises MissingLibrary without pandas."""
+        parameters = [(f, name, value) for f in self.report.findings for name, value in f.parameters.items()]
+        rows = [(f.effect, f.place, name, v.value, *(v.ci95 or (None, None)), v.unit) for f, name, v in parameters]
+        return pandas_table(FINDING_COLUMNS, rows)
 
     def write(self, folder: Path) -> None:
         """Write diagnosis.json and what it takes to draw the recording anew."""

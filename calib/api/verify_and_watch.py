@@ -50,6 +50,7 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
+from rig.formats.pandas_tables import DataFrame, pandas_table_of_errors
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Poses
@@ -91,6 +92,14 @@ class VerificationResult(OneLineRepr):
         ]
         head = (f"{held.after.n} poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad")
         return result_html(str(self), self.verdict.rests_on, [head, *rows])
+
+    def to_pandas(self) -> DataFrame:
+        """DataFrame of the errors of each pose, `nominal_x_m` .. `corrected_rz_rad`. Raises MissingLibrary without
+        pandas.
+        """
+        shown = self.figures
+        errors = {"nominal": shown.before, "corrected": shown.after}
+        return pandas_table_of_errors(shown.samples.frame, errors)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""

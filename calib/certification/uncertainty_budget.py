@@ -18,6 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
+from rig.formats.pandas_tables import DataFrame, pandas_table
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
 from vision.recording_adjustment import Measurement
@@ -25,6 +26,7 @@ from vision.recording_adjustment import Measurement
 COVERAGE = 0.95  # of lengths within an expanded uncertainty
 DRAWS = 100_000  # of errors, for the factor of that
 PARTS = (slice(0, 3), slice(3, 6))
+BUDGET_COLUMNS = ("contribution", "of", "position_m", "rotation_rad", "kind", "source")
 PLACE = (
     "x",
     "y",
@@ -69,6 +71,12 @@ class Budget:
     rows: tuple[Contribution, ...]
     machine: Expanded
     measuring: Expanded
+
+    def to_pandas(self) -> DataFrame:
+        """DataFrame of the contributions, a row for each: BUDGET_COLUMNS. Raises MissingLibrary without pandas."""
+        return pandas_table(
+            BUDGET_COLUMNS, [(r.name, r.of, r.position, r.rotation, r.kind, r.source) for r in self.rows]
+        )
 
 
 def expanded_uncertainty_over_poses(covariance: Floats) -> Expanded:

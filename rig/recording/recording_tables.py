@@ -18,6 +18,7 @@ from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote
 from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, read_csv_table
 from rig.formats.output_files import write_text
+from rig.formats.pandas_tables import DataFrame, pandas_table_of_poses
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design, Instrument
 from rig.model.pose import TRIANGLE, covariance_from_triangle, pose, pose_to_vector, poses_pointing_along
@@ -165,6 +166,10 @@ class Poses:
         covariance, common = (None if part is None else part[index] for part in (self.covariance, self.common))
         own = (self.frame[index], self.T_base_platform[index], covariance, common)
         return Poses(*own, None if self.hand is None else self.hand[index])
+
+    def to_pandas(self) -> DataFrame:
+        """DataFrame of `pandas_table_of_poses`, a row for each pose. Raises MissingLibrary without pandas."""
+        return pandas_table_of_poses(self.frame, self.T_base_platform, self.covariance)
 
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
