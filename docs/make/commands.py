@@ -4,18 +4,16 @@ import argparse
 
 from docs.make.field_texts import in_cell
 from rig.cli.command_line import functions_of_command
-from rig.cli.command_list import GROUPS
+from rig.cli.command_list import GROUPS, STATUSES
 from rig.cli.shared.common_options import SHARED, add_worker_options
 
 HEAD = """# The commands
 
 Made from the commands themselves; `rig COMMAND --help` says the same. A recording is a folder ([its \
-tables](tables.md), [rig.toml](rig-toml.md)); SI
-units and radians in files, millimetres and milliradians where figures are printed. A command ends with 0 (done), 1 \
-(refused, with a reason), 2
-(wrong usage), 3 (of `rig verify`, `rig certify`, `rig watch`: the verdict is bad), 130 (interrupted) or 143 (ended by \
-a signal);
-[what commands write](files.md) says what they never write over.
+tables](tables.md), [rig.toml](rig-toml.md)). Its tables
+are in SI units and radians; figures are printed in millimetres and milliradians. [What commands \
+write](files.md) lists the exit statuses, and what
+commands never write over.
 """
 
 
@@ -29,6 +27,8 @@ def page() -> str:
             add_worker_options(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())
         parts.append(f"\n## rig {name}\n\n{in_cell(words)} Group: {group}.\n\n{usage}\n")
+        if name in STATUSES:
+            parts.append("\nExit status {} if {}, otherwise 0.\n".format(*STATUSES[name]))
         rows = [_row(action) for action in parser._actions if action.help != argparse.SUPPRESS]
         if rows:
             parts.append("\n| argument | what |\n|---|---|\n" + "\n".join(rows) + "\n")

@@ -17,7 +17,8 @@ from rig.recording import recording_folder
 HEAD = """# The tables of a recording, column by column
 
 Made from what reads them (`python -m docs.make.tables`). Comma separated, a header line, decimal points, UTF-8. SI \
-units and radians throughout.
+units and radians, whatever
+units `rig.toml` states; temperatures are in degrees Celsius.
 Columns may stand in any order; a column that is not known is set aside, unless it is one slip away from one that is \
 known: then that is an error.
 Times `t` are of one clock, in seconds from any origin (0, boot, 1970). [rig import](check.md) makes these files of \

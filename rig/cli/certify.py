@@ -81,10 +81,6 @@ def _within(text: str, least: float, most: float, expected: str) -> float:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig certify` to a parser."""
-    parser.epilog = (
-        "Exit status 0 if the verdict is good or check, 3 if it is bad: a tolerance is exceeded, or the "
-        "claim is NOT kept."
-    )
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument(
         "recordings", metavar="REC", type=Path, nargs="+", help="recordings not used for the calibration"

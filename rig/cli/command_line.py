@@ -17,7 +17,7 @@ from pathlib import Path
 from shutil import get_terminal_size
 from typing import NoReturn, TextIO, TypeVar, cast
 
-from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES, SHARED_FILES
+from rig.cli.command_list import COMMANDS, EARLIER_NAMES, FAMILIES, SHARED_FILES, STATUSES, exit_status_text
 from rig.cli.shared.argument_parser_and_option_values import Parser, join_negative_numbers
 from rig.cli.shared.common_options import add_common_options
 from rig.errors import RigError
@@ -83,7 +83,7 @@ def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
 def main(argv: list[str] | None = None) -> int:
     """Run one command.
 
-    Returns the exit status: 0 done, 1 refused, 2 wrong usage, 130 interrupted
+    Returns the exit status, one of `rig.cli.command_list.exit_statuses`
     Raises SystemExit where help was asked for or the usage is wrong
     """
     from rig.cli.shared.output_display import escape_control_characters_in_output
@@ -129,9 +129,9 @@ def command_line_parser(expanded_commands: Collection[str], words: tuple[str, ..
         description="Vision-measured calibration of robots that move a platform on struts, and of arms.\n\n"
         + ("" if expanded_commands else _grouped_commands()),
         epilog="`rig COMMAND --help` describes one. A recording is a folder with rig.toml, frames.csv,\n"
-        "commands.csv and images or corners.csv; SI units and radians throughout.\n\n"
-        "exit status: 0 done; 1 refused, with the reason; 2 wrong usage; 3 the verdict is bad\n"
-        "(certify, verify, watch); 130 interrupted; 128 + N ended by signal N.",
+        "commands.csv and images or corners.csv. Tables and JSON files are in SI units and radians;\n"
+        'rig.toml is too, unless it states units = "mm, deg".\n\n'
+        + ("" if expanded_commands else exit_status_text(get_terminal_size((80, 24)).columns)),
     )
     parser.words = words
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
@@ -176,6 +176,8 @@ def _add_arguments(parser: Parser, name: str) -> object:
     """Add a command's arguments to a parser; returns the function that runs it."""
     add_own_arguments, run = functions_of_command(name)
     add_own_arguments(parser)
+    if name in STATUSES:
+        parser.epilog = "Exit status {} if {}, otherwise 0.".format(*STATUSES[name])
     add_common_options(parser, name)
     return run
 

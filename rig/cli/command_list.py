@@ -72,6 +72,14 @@ GROUPS = {
     },
 }
 COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
+BAD_VERDICT = (3, "the verdict is bad")
+STATUSES = {
+    "check": (1, "results from the recording would mean nothing"),
+    "doctor": (1, "something is missing that every installation needs"),
+    "limbs test": (1, "a limb is not accepted"),
+    "limbs closures": (1, "a closure error exceeds what errors and geometry allow"),
+    **dict.fromkeys(("verify", "certify", "watch", "why"), BAD_VERDICT),
+}  # {command: its exit status where it is done and its answer is no, and what that means}
 FAMILIES = {name.split()[0] for name in COMMANDS if " " in name}  # first words of commands of two words
 SHARED_FILES = {
     "limbs test": "limbs_test_and_closures",
@@ -100,6 +108,35 @@ EARLIER_NAMES = {
     "posture": "arm posture",
     "wrench": "arm wrench",
 }
+
+
+def exit_statuses() -> dict[str, str]:
+    """Meanings of all exit statuses: {"0": "done", ..}."""
+    answers = [
+        f"{' and '.join(f'`rig {name}`' for name, one in STATUSES.items() if one == answer)}: {answer[1]}"
+        for answer in dict.fromkeys(STATUSES.values())
+        if answer[0] == 1
+    ]
+    judges = [f"`rig {name}`" for name, answer in STATUSES.items() if answer == BAD_VERDICT]
+    return {
+        "0": "done",
+        "1": f"refused, with a reason; or the answer is no ({'; '.join(answers)})",
+        "2": "wrong usage",
+        str(BAD_VERDICT[0]): f"{', '.join(judges[:-1])} and {judges[-1]}: {BAD_VERDICT[1]}",
+        "130": "interrupted",
+        "128 + N": "ended by signal N, as 143 by SIGTERM",
+    }
+
+
+def exit_status_text(width: int) -> str:
+    """All exit statuses, as the help of `rig` lists them. width : columns"""
+    from textwrap import wrap
+
+    lines = ["exit status:"]
+    for status, meaning in exit_statuses().items():
+        first, *more = wrap(meaning.replace("`", ""), max(width - 12, 40))
+        lines += [f"  {status:<8}  {first}", *(f"{'':12}{line}" for line in more)]
+    return "\n".join(lines)
 
 
 def grouped_command_text(width: int) -> str:

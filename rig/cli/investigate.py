@@ -70,7 +70,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_json_result_option(parser)
 
 
-def run(arguments: Namespace) -> int:
+def run(arguments: Namespace) -> None:
     """Run `rig investigate`.
 
     Plan, record and diagnose in a loop, then calibrate and certify.
@@ -95,4 +95,3 @@ def run(arguments: Namespace) -> int:
     print(result)
     if result.waiting is None:
         print(f"{result.ended}; look at {arguments.out / 'notebook.html'}")
-    return 0

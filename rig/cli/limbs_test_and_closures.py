@@ -65,6 +65,8 @@ def run_test(arguments: Namespace) -> int:
     """Run `rig limbs test`.
 
     Test measuring limbs against vision, and save accepted ones.
+
+    Exit status 1 where one is not accepted.
     """
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import AcceptLimbsOptions, accept_limbs
     from calib.online.accepted_limbs_file import is_limbs_file

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig verify` to a parser."""
-    parser.epilog = "Exit status 0 if the verdict is good or check, 3 if it is bad: the claim is NOT kept."
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording_argument(parser)
     add_json_option(parser)

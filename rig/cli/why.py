@@ -17,7 +17,6 @@ from rig.report.verdict_refutations_and_result_display import exit_status
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig why` to a parser."""
-    parser.epilog = "Exit status 0 if the verdict is good or check, 3 if it is bad."
     parser.add_argument(
         "data",
         metavar="DATA",

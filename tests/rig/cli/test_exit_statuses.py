@@ -1,0 +1,28 @@
+"""Exit statuses of the commands: each that a command documents is in the list, in its help and in the documents."""
+
+import re
+
+import pytest
+
+from rig.cli.command_line import command_line_parser, functions_of_command
+from rig.cli.command_list import COMMANDS, STATUSES, exit_status_text, exit_statuses
+from tests.conftest import ROOT
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_documented_exit_status_of_a_command_is_listed(command):
+    run = functions_of_command(command)[1]
+    documented = [int(status) for status in re.findall(r"[Ee]xit status (\d+)", run.__doc__)]
+    listed = [STATUSES[command][0]] if command in STATUSES else []
+    assert documented == listed and (run.__annotations__["return"] in (int, "int")) == bool(listed)
+    sub = command_line_parser([command])._subparsers._group_actions[0].choices[command]
+    assert re.findall(r"[Ee]xit status (\d+)", sub.format_help()) == [str(status) for status in listed]
+
+
+def test_the_lists_of_help_and_documents_have_every_status():
+    page = re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", (ROOT / "docs" / "files.md").read_text(encoding="utf-8"))
+    for status, meaning in exit_statuses().items():
+        assert f"| `{status}` | {meaning} |\n" in page
+        assert f"  {status:<8}  {meaning[:10].replace('`', '')}" in exit_status_text(80)
+    assert {str(status) for status, _ in STATUSES.values()} < set(exit_statuses())
+    assert [command for command in STATUSES if f"`rig {command}`" not in "".join(exit_statuses().values())] == []
