@@ -50,7 +50,7 @@ SHARED_DRAWS = 42  # draws that all poses by limbs have in common: their geometr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunOptions:
-    """seed : of the plan; settle : "time:SECONDS", "images" or "limbs:METRES"; exposure : s of all cameras, "keep" as
+    """seed : of the plan; settle : "time:SECONDS", "images" or "limbs:LENGTH"; exposure : s of all cameras, "keep" as
     they are, None so that markers are bright and do not clip
     calibration : what poses are expected by, or None; calibration_name : of its file, for messages; tolerance : (m,
     rad) of drift from it that is an alarm, or None; stop_on : kinds of ALARMS that end the run

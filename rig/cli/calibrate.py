@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import input_options, output_display
-from rig.cli.shared.argument_parser_and_option_values import parse_length
+from rig.cli.shared.argument_parser_and_option_values import parse_length, quantity_parser
 from rig.cli.shared.common_options import (
     add_json_result_option,
     add_overwrite_option,
@@ -271,15 +271,15 @@ def _add_learner_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--drift",
-        type=parse_number,
-        metavar="M",
-        help="of drifting: random-walk step of a parameter per pose (default 1e-7 m)",
+        type=quantity_parser("m", "m"),
+        metavar="0.1um",
+        help="of drifting: random-walk step of a parameter per pose (default 0.1um; a plain number is in m)",
     )
     parser.add_argument(
         "--step",
-        type=parse_number,
-        metavar="M",
-        help="of first-order: how far a parameter may have to go (default 1e-3 m)",
+        type=quantity_parser("m", "m"),
+        metavar="1mm",
+        help="of first-order: how far a parameter may have to go (default 1mm; a plain number is in m)",
     )
 
 

@@ -21,7 +21,7 @@ from rig.cli.shared.common_options import (
     file_or_stdout,
 )
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_numbers, parse_whole_number
+from rig.formats.numbers_and_units import parse_numbers, parse_quantity, parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
@@ -68,7 +68,7 @@ def arguments(parser: ArgumentParser) -> None:
         "--start",
         metavar="LENGTHS",
         default="home",
-        help="initial axis values: home (the default), or values separated by commas, m or rad",
+        help="initial axis values: home (the default), or values separated by commas, with their units or in m and rad",
     )
     parser.add_argument(
         "--approach",
@@ -223,12 +223,15 @@ def _start(text: str, axis_units: tuple[str, ...], units: LengthAndAngleUnits) -
     if text == "home":
         return None
     try:
-        stated = np.array(parse_numbers(text.split(",")))
+        words = text.split(",")
+        scales = [1 / units.per_si(unit) for unit in axis_units]
+        if len(words) != len(axis_units):
+            return np.array(parse_numbers(words))
+        return np.array([parse_quantity(*each) for each in zip(words, axis_units, scales)])
     except ValueError:
         raise RigError(
             f"--start must be home or an axis' values each, separated by commas, {units}, got {text!r}"
         ) from None
-    return units.si(stated, axis_units) if len(stated) == len(axis_units) else stated
 
 
 def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path) -> None:

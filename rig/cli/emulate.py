@@ -64,7 +64,9 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="N",
         help="struts N times as fast as [controller] states (default 1)",
     )
-    parser.add_argument("--start", metavar="L1,L2,..", help="initial strut lengths, m (default: home)")
+    parser.add_argument(
+        "--start", metavar="300mm,..", help="initial strut lengths; plain numbers are in m (default: home)"
+    )
     parser.add_argument(
         "--history",
         metavar="FILE",

@@ -12,6 +12,7 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
+from rig.cli.shared.argument_parser_and_option_values import quantity_parser
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.cli.shared.input_options import add_deprecated_option_name
 from rig.errors import RigError
@@ -74,10 +75,10 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--lead",
-        type=parse_number,
-        metavar="M",
-        help="of genhexkins: the screws' lead, m per revolution, for "
-        "--coupling (default [actuator] screw_lead of a rig.toml)",
+        type=quantity_parser("m", "m"),
+        metavar="4mm",
+        help="of genhexkins: the screws' lead per revolution, for "
+        "--coupling (a plain number is in m; default [actuator] screw_lead of a rig.toml)",
     )
     parser.add_argument(
         "--intervals",
@@ -97,12 +98,12 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--zero",
-        metavar="M",
+        metavar="250mm",
         nargs="+",
         default=[],
-        type=parse_number,
-        help="of grblhal-kins: length of the struts where the motors count 0, m, one or six, as [controller] zero "
-        "(default: of the home pose)",
+        type=quantity_parser("m", "m"),
+        help="of grblhal-kins: length of the struts where the motors count 0, one or six, as [controller] zero "
+        "(plain numbers are in m; default: of the home pose)",
     )
     add_deprecated_option_name(parser, "--parts", "parts", parse_whole_number)
     add_overwrite_option(parser)

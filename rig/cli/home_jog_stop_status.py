@@ -9,7 +9,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import require_share_of_greatest_speed
+from rig.cli.shared.argument_parser_and_option_values import quantity_parser, require_share_of_greatest_speed
 from rig.cli.shared.common_options import (
     add_controller_arguments,
     add_json_result_option,
@@ -17,7 +17,7 @@ from rig.cli.shared.common_options import (
     add_trust_option,
 )
 from rig.errors import PositionLost, RigError
-from rig.formats.numbers_and_units import parse_number, parse_numbers, parse_whole_number
+from rig.formats.numbers_and_units import parse_quantity, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats
@@ -55,8 +55,12 @@ def arguments_of_jog(parser: ArgumentParser) -> None:
         help="1.. (may be repeated; by default all of them)",
     )
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--by", type=parse_number, metavar="MM", help="longer by this amount")
-    where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
+    where.add_argument(
+        "--by", type=quantity_parser("m", "mm"), metavar="3mm", help="longer by this amount (a plain number is in mm)"
+    )
+    where.add_argument(
+        "--to", metavar="300mm,..", help="to these lengths, one for every strut (plain numbers are in mm)"
+    )
     add_speed_option(parser, 0.25)
     parser.add_argument(
         "--unlock",
@@ -96,22 +100,22 @@ def run_jog(arguments: Namespace) -> None:
         goal = (
             _lengths(arguments.to, count)
             if arguments.to
-            else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
+            else driver.lengths() + arguments.by * np.isin(np.arange(1, count + 1), struts)
         )
         driver.move(goal, arguments.speed)
         print_status(driver.status(), design)
 
 
 def _lengths(text: str, count: int) -> Floats:
-    """(count,) m of lengths in mm separated by commas."""
+    """(count,) m of lengths separated by commas, in mm where they have no unit."""
     import numpy as np
 
     try:
-        values = np.array(parse_numbers(text.split(","))) * 1e-3
+        values = np.array([parse_quantity(word, "m", 1e-3) for word in text.split(",")])
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():
-        raise RigError(f"--to takes {count} lengths in mm separated by commas, got {text!r}")
+        raise RigError(f"--to takes {count} lengths separated by commas, with their unit or in mm, got {text!r}")
     return values
 
 

@@ -26,8 +26,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--board",
         required=True,
-        help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m), for one "
-        "charuco:5x7:0.036:0.018:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m); aprilgrid: "
+        help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares), as "
+        "charuco:5x7:36mm:18mm:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers); "
+        "plain numbers are in m; aprilgrid: "
         "the same, numbered from the lower left",
     )
     parser.add_argument(

@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import parse_length
+from rig.cli.shared.argument_parser_and_option_values import parse_length, parse_length_and_angle
 from rig.cli.shared.common_options import (
     SEED,
     add_json_result_option,
@@ -21,7 +21,7 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.plan_options_and_result import PlanOptions
@@ -68,10 +68,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--sigma",
         nargs=2,
-        type=parse_number,
-        default=(1e-5, 1e-4),
-        metavar=("M", "RAD"),
-        help="standard deviation of a measured pose, per axis (default 1e-5 1e-4)",
+        default=("10um", "100urad"),
+        metavar=("10um", "100urad"),
+        help="standard deviation of a measured pose, per axis; plain numbers are m and rad (default 10um 100urad)",
     )
     parser.add_argument(
         "--calibration",
@@ -128,7 +127,7 @@ def _options(arguments: Namespace, design: Design) -> PlanOptions:
         arguments.parts,
         arguments.count,
         arguments.criterion,
-        tuple(arguments.sigma),
+        parse_length_and_angle(arguments.sigma, "--sigma"),
         _visited(arguments.given, design) if arguments.given else None,
         calibration_file.load(arguments.calibration) if arguments.calibration else None,
         str(arguments.calibration),

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import parse_length_and_angle
+from rig.cli.shared.argument_parser_and_option_values import parse_length_and_angle, quantity_parser
 from rig.cli.shared.common_options import SEED, add_controller_arguments
 from rig.cli.shared.input_options import add_limb_options, limb_source
 from rig.errors import RigError
@@ -48,14 +48,15 @@ def arguments(parser: ArgumentParser) -> None:
         "--settle",
         default="time:1",
         metavar="HOW",
-        help="time:SECONDS, images (until they no longer change) or limbs:METRES "
-        "(until measuring limbs agree to this); default time:1",
+        help="time:SECONDS, images (until they no longer change) or limbs:20um "
+        "(until measuring limbs agree to this; a plain number is in m); default time:1",
     )
     parser.add_argument(
         "--in-motion",
-        metavar="MM/S",
-        type=parse_number,
-        help="expose during the moves, at this speed of the strut that moves most; the plan's places are passed "
+        metavar="3mm/s",
+        type=quantity_parser("m/s", "mm/s"),
+        help="expose during the moves, at this speed of the strut that moves most (a plain number is in mm/s); "
+        "the plan's places are passed "
         "without waiting; rig measure and rig calibrate find by how much the clocks of cameras and controller differ",
     )
     parser.add_argument(
@@ -149,7 +150,7 @@ def _options(arguments: Namespace) -> RunOptions:
         arguments.resume,
         arguments.trace,
         not arguments.no_cameras,
-        None if speed is None else speed / 1e3,
+        speed,
         0.25 if arguments.interval is None else arguments.interval,
     )
 

@@ -23,6 +23,7 @@ from rig.driving.request_and_answer_exchange_with_controller import Port
 from rig.driving.strut_driver import Driver
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import FileError, RigError
+from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Controller, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_struts
@@ -158,16 +159,16 @@ class Settling:
 def parse_settling(text: str) -> Settling:
     """Settling parsed from text.
 
-    "time:SECONDS", "images" or "limbs:METRES".
+    "time:SECONDS", "images" or "limbs:LENGTH", as limbs:20um; a length without a unit is in m.
     Raises RigError for anything else.
     """
     by, _, amount = text.partition(":")
     try:
-        value = float(amount) if amount else 0.0
+        value = parse_quantity(amount, "m" if by == "limbs" else "s") if amount else 0.0
     except ValueError:
         value = -1.0
     if by not in ("time", "images", "limbs") or not 0 <= value < np.inf or (by == "images") == bool(amount):
-        raise RigError(f'settling takes "time:SECONDS", "images" or "limbs:METRES", got {text!r}')
+        raise RigError(f'settling takes "time:SECONDS", "images" or "limbs:LENGTH", as limbs:20um, got {text!r}')
     return Settling(by, value)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import RigError
-from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, parse_number, parse_whole_number
+from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, parse_quantity, parse_whole_number
 
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
@@ -142,10 +142,12 @@ def parse_board(text: str, units: LengthAndAngleUnits = SI) -> Board:
 def _length(text: str, name: str, part: str, units: LengthAndAngleUnits) -> float:
     """A length of a description, in m."""
     try:
-        length = float(units.si(parse_number(part), "m"))
+        length = parse_quantity(part, "m", 1 / units.per_si("m"))
     except ValueError:
-        raise RigError(f"board {text!r}: {name} {part!r} is not a number ({units.length})") from None
+        raise RigError(
+            f"board {text!r}: {name} {part!r} is not a length, a number with its unit or in {units.length}"
+        ) from None
     if not 0 < length <= LARGEST:
         stated = "in metres" if units == SI else f'in what units = "{units}" states'
-        raise RigError(f"board {text!r}: {name} = {part} {units.length} is implausible (lengths are {stated})")
+        raise RigError(f"board {text!r}: {name} = {units.shown(length, 'm')} is implausible (lengths are {stated})")
     return length

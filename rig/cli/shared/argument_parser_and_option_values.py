@@ -8,19 +8,19 @@ from __future__ import annotations
 import math
 import re
 from argparse import ArgumentParser, ArgumentTypeError, _SubParsersAction
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_number
+from rig.formats.numbers_and_units import SUFFIXES, parse_number, parse_quantity
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
 
 
 INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what parses an argument
-NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures separated by commas, of which the first is negative
+NEGATIVE = re.compile(r"-\.?\d(?:[^,]*,|[-+.\deE]*[a-zµμ]+$)")  # -2mm, or figures with commas of which the first is < 0
 
 
 def join_negative_numbers(words: Iterable[str]) -> list[str]:
@@ -120,26 +120,36 @@ def parse_length(text: str) -> float:
 
     Raises ArgumentTypeError for anything else.
     """
-    for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
-        if text.endswith(unit):
-            try:
-                value = parse_number(text.removesuffix(unit)) * scale
-            except ValueError:
-                break
-            if 0 < value < float("inf"):
-                return value
-            break
+    try:
+        value = parse_quantity(text, "m", math.nan)  # a number alone is no length
+    except ValueError:
+        value = math.nan
+    if 0 < value < float("inf"):
+        return value
     raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
 
 
+def quantity_parser(unit: str, plain: str) -> Callable[[str], float]:
+    """Function that parses an option's quantity in an SI unit, with or without a unit after the number.
+
+    plain : unit of a number alone, one of SUFFIXES[unit]
+    """
+    units = ", ".join(SUFFIXES[unit])
+
+    def parse(text: str) -> float:
+        try:
+            return parse_quantity(text, unit, SUFFIXES[unit][plain])
+        except ValueError:
+            message = f"expected a number with its unit ({units}), or in {plain} without, not {text!r}"
+            raise ArgumentTypeError(message) from None
+
+    return parse
+
+
 TOLERANCE_UNITS = {
-    "um": ("position", 1e-6),
-    "mm": ("position", 1e-3),
-    "m": ("position", 1.0),
-    "urad": ("rotation", 1e-6),
-    "arcsec": ("rotation", math.pi / 648000),
-    "mrad": ("rotation", 1e-3),
-    "rad": ("rotation", 1.0),
+    name: (kind, scale)
+    for kind, unit in (("position", "m"), ("rotation", "rad"))
+    for name, scale in SUFFIXES[unit].items()
 }
 
 
@@ -157,8 +167,8 @@ def parse_tolerance(text: str) -> tuple[str, float]:
     return kind, float(found[1]) * scale
 
 
-def parse_length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
-    """Tolerances (m, rad) of an option that takes a length and an angle.
+def parse_length_and_angle(texts: Sequence[str], option: str = "--tolerance") -> tuple[float, float]:
+    """(m, rad) of an option that takes a length and an angle.
 
     50um 0.2mrad, or two figures in m and rad.
 
@@ -170,12 +180,12 @@ def parse_length_and_angle(texts: Sequence[str]) -> tuple[float, float]:
         try:
             found = dict(parse_tolerance(text) for text in texts)
         except ArgumentTypeError as error:
-            raise RigError(f"--tolerance: {error}") from None
+            raise RigError(f"{option}: {error}") from None
         if len(found) != 2:
-            raise RigError(f"--tolerance takes a length and an angle, as 50um 0.2mrad, not {' '.join(texts)}") from None
+            raise RigError(f"{option} takes a length and an angle, as 50um 0.2mrad, not {' '.join(texts)}") from None
         return found["position"], found["rotation"]
     if len(plain) != 2 or not all(0 < value < float("inf") for value in plain):
-        raise RigError(f"--tolerance takes a length and an angle, as 50um 0.2mrad, not {' '.join(texts)}")
+        raise RigError(f"{option} takes a length and an angle, as 50um 0.2mrad, not {' '.join(texts)}")
     return plain[0], plain[1]
 
 

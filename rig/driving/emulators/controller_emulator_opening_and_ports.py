@@ -25,7 +25,7 @@ from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.native_strut_protocol import Struts
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_numbers
+from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
@@ -57,9 +57,11 @@ class EmulatorOptions:
         if not self.start:
             return None
         try:
-            return np.array(parse_numbers(self.start.split(",")))
+            return np.array([parse_quantity(word, "m") for word in self.start.split(",")])
         except ValueError:
-            raise RigError(f"--start takes numbers in m separated by commas, not {self.start!r}") from None
+            raise RigError(
+                f"--start takes lengths separated by commas, with their unit or in m, not {self.start!r}"
+            ) from None
 
 
 def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:

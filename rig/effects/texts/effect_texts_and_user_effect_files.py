@@ -24,7 +24,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import Context
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.numbers_and_units import parse_number
+from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.user_python_file import UserModule, line_in_file_of_error, line_of_class, read_user_text, run_user_text
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import AXES, Place, parse_place_in_stage
@@ -36,6 +36,8 @@ Kinds = Mapping[str, type[Effect]]  # effects by their names
 def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
     """Effect parsed from the text NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are separated by slashes.
 
+    Lengths and angles may have a unit, as gap=80um.
+
     The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig",
     "cameras").
     Raises RigError naming what is not known.
@@ -43,8 +45,11 @@ def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
     name, _, rest = text.partition(":")
     kind = effect_class_by_name(name, text, known_effects)
     place, _, assignments = rest.partition(":")
-    values = {}
-    own = {parameter.name: parameter for parameter in kind.parameters}
+    values, place = {}, _place(place.strip(), kind)
+    try:
+        own = {parameter.name: parameter for parameter in kind.parameters_at(place)}
+    except ValueError as error:
+        raise RigError(f"effect {short_repr(text)}: {error}") from None
     for assignment in filter(None, assignments.split(",")):
         key, equals, value = assignment.partition("=")
         key = key.strip()
@@ -54,14 +59,15 @@ def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
                 f"{', '.join(own)}"
             )
         try:
-            numbers = tuple(parse_number(part) for part in value.split("/"))
+            numbers = tuple(parse_quantity(part, own[key].unit.split(" (")[0]) for part in value.split("/"))
         except ValueError:
-            raise RigError(f"effect {short_repr(text)}: {short_repr(value)} is no number") from None
+            message = f"{short_repr(value)} is no number, and no quantity in {own[key].unit or 'no unit'}"
+            raise RigError(f"effect {short_repr(text)}: {message}") from None
         values[key] = numbers if own[key].size != 1 else numbers[0]
         if own[key].size == 1 and len(numbers) > 1:
             raise RigError(f"effect {short_repr(text)}: {key} is one number, got {short_repr(value)}")
     try:
-        return check_effect_place_and_parameter_bounds(kind(_place(place.strip(), kind), **values))
+        return check_effect_place_and_parameter_bounds(kind(place, **values))
     except (TypeError, ValueError) as error:
         raise RigError(f"effect {short_repr(text)}: {error}") from None
 
