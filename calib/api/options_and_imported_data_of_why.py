@@ -5,7 +5,7 @@ read, or imported as a recording.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rig.api import import_recording, load
@@ -33,6 +33,7 @@ WANTED = (
     "a recording (rig.toml, frames.csv ..), one table of joint values and measured poses, two named commands.csv and "
     "poses.csv, a ROS bag, or folders of images"
 )
+OF_RECORDING = ("frame", "t", "camera", "image")  # columns of a recording's frames.csv
 LISTED = 8
 MOST_RADIANS = 6.5  # that joint values reach; so few degrees of travel calibrate nothing
 
@@ -51,8 +52,18 @@ def require_existing_data_path(data: Path) -> None:
 
 
 def is_recording_folder(data: Path) -> bool:
-    """Whether a path is a recording's folder, though its rig.toml may be missing."""
-    return is_folder(data) and "frames.csv" in list_folder(data)
+    """Whether a path is a recording's folder, though its rig.toml may be missing; among images, frames.csv may also be
+    a table of their times.
+    """
+    if not is_folder(data) or "frames.csv" not in list_folder(data):
+        return False
+    header = read_text(data / "frames.csv").partition("\n")[0]
+    return all(column in header for column in OF_RECORDING) or not _holds_images(data)
+
+
+def _holds_images(folder: Path) -> bool:
+    """Whether a folder holds images, or folders, which may."""
+    return any(Path(name).suffix.lower() in PICTURES or is_folder(folder / name) for name in list_folder(folder))
 
 
 def import_recipe_of_path(
@@ -67,7 +78,7 @@ def import_recipe_of_path(
     if is_folder(data):
         return _of_folder(data, rig, design, joint_names, settings)
     if data.suffix.lower() in BAGS:
-        return recipe_of_options(rig, [], {}, tuple(settings), bags=[data])
+        return _of_bags([data], rig, design, joint_names, settings)
     if data.suffix.lower() in TABULAR:
         return _of_tables({"commands": data, "poses": data}, rig, design, joint_names, settings)
     raise FileError(data, f"is of no kind that is known; there are {', '.join((*TABULAR, *BAGS))}; or {WANTED}")
@@ -77,15 +88,13 @@ def _of_folder(data: Path, rig: Path, design: Design, joint_names: Sequence[str]
     names = list_folder(data)
     bags = [data / name for name in names if Path(name).suffix.lower() in BAGS]
     if bags:
-        return recipe_of_options(rig, [], {}, tuple(settings), bags=[data] if "metadata.yaml" in names else bags)
+        return _of_bags([data] if "metadata.yaml" in names else bags, rig, design, joint_names, settings)
     tables = [name for name in names if Path(name).suffix.lower() in TABULAR]
     known = {Path(name).stem: data / name for name in tables if Path(name).stem in TABLES}
     if "poses" in known:
         known.setdefault("commands", known["poses"])
         return _of_tables(known, rig, design, joint_names, settings)
-    folders = [name for name in names if is_folder(data / name)]
-    pictures = any(Path(name).suffix.lower() in PICTURES for name in names) or folders
-    if pictures:
+    if _holds_images(data):
         return recipe_of_options(rig, [data], dict(known), tuple(settings))
     if len(tables) == 1:
         return _of_tables(
@@ -98,6 +107,20 @@ def _of_folder(data: Path, rig: Path, design: Design, joint_names: Sequence[str]
         f"{data} holds several tables ({listed}): name one that has joint values and poses, or call the two "
         "commands.csv and poses.csv"
     )
+
+
+def _of_bags(
+    bags: Sequence[Path], rig: Path, design: Design, joint_names: Sequence[str], settings: Sequence[str]
+) -> Recipe:
+    """Recipe of bags, whose joint states name the joints as the arm's file does."""
+    added = [f"commands.columns.{axis}={name}" for axis, name in zip(design.mechanism.axes, joint_names)]
+    return recipe_of_options(rig, [], {}, _with_settings(added, settings), bags=bags)
+
+
+def _with_settings(added: Sequence[str], settings: Sequence[str]) -> tuple[str, ...]:
+    """Settings that a user states, after those that were found out of anything else."""
+    stated = {setting.partition("=")[0].strip() for setting in settings}
+    return (*(setting for setting in added if setting.partition("=")[0] not in stated), *settings)
 
 
 def _of_tables(
@@ -114,9 +137,7 @@ def _of_tables(
     added = [f"commands.columns.{axis}={header}" for axis, header in found.items()]
     if _is_radians(cells, design, found):
         added.append("commands.unit=rad")
-    stated = {setting.partition("=")[0].strip() for setting in settings}
-    retained = [setting for setting in added if setting.partition("=")[0] not in stated]
-    return recipe_of_options(rig, [], dict(tables), (*retained, *settings))
+    return recipe_of_options(rig, [], dict(tables), _with_settings(added, settings))
 
 
 def _columns_by_joint_name(cells: Cells, axes: Sequence[str], joint_names: Sequence[str]) -> dict[str, str]:
@@ -189,6 +210,8 @@ def recording_and_whether_noise_is_assumed(
         if is_recording and "rig.toml" in list_folder(data):
             return load(data), False
         names = list_folder(data) if is_folder(data) else [data.name]
+        if is_folder(data) and "rig.toml" in names:
+            return recording_and_whether_noise_is_assumed(data, replace(options, rig=data / "rig.toml"), folder, notice)
         if any(Path(name).suffix.lower() in PICTURES for name in names):
             raise RigError(
                 f"{data} holds images and does not state the machine that they show: add --rig rig.toml (`rig new "

@@ -79,8 +79,8 @@ def exposures_timed_by_names_table_or_commands(
     else:
         raise RigError(
             f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which "
-            "belongs to which? Give a table "
-            "of the frames' times: --frames FILE.csv (frame or image, t)"
+            "belongs to which? Give a table of the frames' times: --frames FILE.csv (frame or image, t); `rig why` "
+            "takes it as frames.csv beside the images"
         )
     return replace(exposed, t=[at[n] for n in exposed.frame], remarks=(*exposed.remarks, message)), recipe
 

@@ -1,6 +1,7 @@
 """rig why: one table and a model of the machine in, five lines out; what cannot be read is refused by name."""
 
 import json
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,8 +17,10 @@ from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
 from rig.model.design import Arm
 from rig.model.pose import pose_to_vector
+from rig.recording.recording_folder import load_recording
 from tests.calib import secret_arms
 from tests.cli import run
+from tests.rig.formats.importers.test_bags import START, ros2
 
 HALF = np.pi / 2
 NOMINAL = Arm(
@@ -122,6 +125,83 @@ def test_positions_alone_in_another_folder_and_units_by_python(arm, tmp_path):
     tree = json.loads(json.dumps(result.tree(), default=str))
     assert tree["schema"] == "why/1" and list(tree["answers"]) == list(answers) and not tree["noise_is_assumed"]
     assert str(result).startswith("how wrong") and result._repr_html_().startswith("<div>")
+
+
+@pytest.mark.slow
+def test_a_bag_of_joint_states_and_poses_gives_the_answers_of_the_table(arm, why_result, tmp_path):
+    """As a driver publishes it: the URDF's joint names in another order, each configuration twice around its pose."""
+    values = np.array([line.split(",") for line in (arm / "data.csv").read_text().split()[1:]], float)
+    found = []
+    for t, q, pose in zip(values[:, 0], values[:, 1:4], values[:, 4:]):
+        for after in (0.0, 4.0):
+            found.append(stamped(t + after, "/joint_states", "sensor_msgs/msg/JointState", joint_state_fields(q)))
+        found.append(stamped(t + 2, "/tracker", "geometry_msgs/msg/TransformStamped", transform_fields(pose)))
+    bag = ros2(tmp_path / "run", found)
+    done = run("why", bag, "--urdf", arm / "arm.urdf", "--out", tmp_path / "kept")
+    assert "/joint_states is commands" in done.stderr and "/tracker is poses" in done.stderr
+    of_table = why_result[0].stdout.splitlines()
+    assert [line[:60] for line in done.stdout.splitlines()] == [line[:60] for line in of_table]
+
+
+@pytest.mark.slow
+def test_a_folder_of_images_with_its_rig_and_commands(tmp_path, opengl):
+    """The images' times are the commands' rows', or those of a table."""
+    rig, data = tmp_path / "rig.toml", tmp_path / "data"
+    run("new", "design", "--radius", 0.3, "--size", "640x480", "--cubes", 3, "--out", rig)
+    run("simulate", rig, "--plan", "sobol:16", "--seed", 4, "--images", "--out", tmp_path / "rec")
+    recorded = load_recording(tmp_path / "rec")
+    data.mkdir()
+    shutil.copy(rig, data)
+    for camera in (tmp_path / "rec" / "images").iterdir():
+        shutil.copytree(camera, data / camera.name)
+    shutil.copy(tmp_path / "rec" / "commands.csv", data)
+    frames, t = recorded.exposures.times()
+    problem = run("why", data, ok=False).stderr
+    assert f"there are 16 frames and {len(recorded.commands.t)} rows" in problem and "frames.csv beside" in problem
+    table(data / "frames.csv", "frame,t", (frames, t))
+    found, assumed = recording_and_whether_noise_is_assumed(data, calib.WhyOptions(), tmp_path, [].append)
+    np.testing.assert_allclose(found.exposures.times()[1], t - t[0] + found.exposures.times()[1][0], atol=1e-9)
+    assert found.has_images and len(found.commands.t) == len(recorded.commands.t) and not assumed
+    (data / "frames.csv").unlink()
+    table(data / "commands.csv", "t,l1,l2,l3,l4,l5,l6", (t, recorded.commands.at(t)))
+    done = run("why", data)
+    assert "the 16 frames belong to the 16 rows of commands.csv" in done.stderr
+    lines = done.stdout.splitlines()
+    assert "mm on average" in lines[0] and "on 16 poses that were held out" in lines[0]
+    assert "the geometry differs from the stated one (100.0% of the mean square error" in lines[1]
+    assert "times better" in lines[2] and "use corrected commands" in lines[3]
+
+
+@pytest.mark.slow
+def test_the_real_arm_is_off_by_its_geometry_and_by_its_gears(shared):
+    done = run("why", shared / "recordings" / "arm-1")
+    wrong, why, sure, to_do, measure = done.stdout.splitlines()
+    assert "off by 1.03 mm on average" in wrong and "on 1493 poses that were held out" in wrong
+    assert "the geometry differs from the stated one (83" in why and "transmission error at joints 1, 2" in why
+    assert "nothing we know explains the rest" in why
+    before, after = (float(text.split("calibration ")[-1].split(" mm")[0].split()[-1]) for text in (wrong, sure))
+    assert after < 0.1 * before and "no configuration was visited twice" in sure
+    assert "transmission error at joint 1" in to_do and "rig correct" in to_do
+    assert "direction of approach is 93 % to 96 % a function of place" in measure
+
+
+def stamped(t, topic, kind, fields):
+    """(topic, type, ns, fields) of a message at t (s)."""
+    ns = START + round(t * 1e9)
+    stamp = {"sec": ns // 10**9, "nanosec": ns % 10**9}
+    return topic, kind, ns, {"header": {"seq": 0, "stamp": stamp, "frame_id": "base"}, **fields}
+
+
+def joint_state_fields(q):
+    """Fields of a JointState of joint values (3,) rad, the last joint first."""
+    return {"name": list(NAMES[::-1]), "position": q[::-1].tolist(), "velocity": [], "effort": []}
+
+
+def transform_fields(vector):
+    """Fields of a TransformStamped of a pose (6,) m, rad."""
+    place, quaternion = vector[:3].tolist(), Rotation.from_rotvec(vector[3:]).as_quat().tolist()
+    transform = {"translation": dict(zip("xyz", place)), "rotation": dict(zip("xyzw", quaternion))}
+    return {"child_frame_id": "flange", "transform": transform}
 
 
 def test_refusals(arm, tmp_path):
