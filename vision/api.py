@@ -12,6 +12,7 @@ import numpy as np
 
 from rig.array_and_json_types import Json
 from rig.formats.local_and_remote_input_files import read_text
+from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import write_text
 from rig.formats.pandas_tables import DataFrame, pandas_table_of_columns, pandas_table_of_poses
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
@@ -218,11 +219,11 @@ def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) ->
 def measurement_verdict(result: MeasurementResult) -> Verdict:
     """The verdict on a measurement."""
     m, total, (position, rotation) = result.measurement, result.frame_count, result.uncertainty
-    size = f"poses to {position * 1e6:.1f} µm and {rotation * 1e6:.1f} µrad (standard uncertainty, RMS)"
+    size = f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS)"
     why = f"{len(m.frames)} of {total} frames solved, {size}"
     missing, unexplained = [], []
     if len(m.frames) < total:
-        missing.append(MissingEvidence(f"{total - len(m.frames)} frames have no pose"))
+        missing.append(MissingEvidence(count_text(total - len(m.frames), "frame has no pose", "frames have no pose")))
     if result.suspects:
         missing.append(
             MissingEvidence(

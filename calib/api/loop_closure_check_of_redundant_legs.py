@@ -14,6 +14,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.online.accepted_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
+from rig.formats.numbers_and_units import count_text
 from rig.model.mechanisms.best_six_legs_and_loop_closures import (
     LegClosures,
     RedundantLegs,
@@ -80,7 +81,9 @@ class LoopClosureResult(OneLineRepr):
     def __str__(self) -> str:
         worst = int(self.ratio.argmax())
         name = self.legs.names[self.closures.checks[worst]]
-        return f"{len(self.frames)} poses; {name} closes at {self.ratio[worst]:.2f} times what is expected"
+        return (
+            f"{count_text(len(self.frames), 'pose')}; {name} closes at {self.ratio[worst]:.2f} times what is expected"
+        )
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

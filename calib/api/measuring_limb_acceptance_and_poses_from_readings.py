@@ -25,6 +25,7 @@ from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table
 from rig.formats.local_and_remote_input_files import read_bytes
+from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
@@ -204,7 +205,10 @@ class MeasuredLimbPoses(OneLineRepr):
 
     def __str__(self) -> str:
         position, rotation = rms_uncertainty(self.poses.covariance)
-        return f"{len(self.poses.frames)} poses by limbs, to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad"
+        return (
+            f"{count_text(len(self.poses.frames), 'pose')} by limbs, to {position * 1e3:.4f} mm and "
+            f"{rotation * 1e3:.4f} mrad"
+        )
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -261,7 +265,7 @@ class PosesOfReadings(OneLineRepr):
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        return result_html(f"{len(self.poses.frame)} poses: {self}")
+        return result_html(f"{count_text(len(self.poses.frame), 'pose')}: {self}")
 
     def write(self, path: Path) -> None:
         """Write the poses as poses.csv."""

@@ -50,6 +50,7 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
+from rig.formats.numbers_and_units import count_text
 from rig.formats.pandas_tables import DataFrame, pandas_table_of_errors
 from rig.model.pose import rms_uncertainty
 from rig.recording.recording_folder import Recording
@@ -90,7 +91,7 @@ class VerificationResult(OneLineRepr):
             (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
             for name, figures in (("nominal model", held.before), ("corrected", held.after))
         ]
-        head = (f"{held.after.n} poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad")
+        head = (f"{count_text(held.after.n, 'pose')}", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad")
         return result_html(str(self), self.verdict.rests_on, [head, *rows])
 
     def to_pandas(self) -> DataFrame:

@@ -17,6 +17,7 @@ from calib.report.online_learning_and_measuring_limb_pages import MANY, OnlineRe
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
+from rig.formats.numbers_and_units import count_text
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_hexapod
 from rig.recording.frame_selection_and_content_hashes import (
@@ -79,7 +80,7 @@ def learn_by_filter(
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
     moved = _moved(learner.p, mechanism)
-    count = f"{len(samples)} poses from {found.source}, learnt one at a time{_after(before)}"
+    count = f"{count_text(len(samples), 'pose')} from {found.source}, learnt one at a time{_after(before)}"
     return Learning(
         learner,
         _online_result(learner, updates, samples.frame, found.source, moved),
@@ -126,7 +127,7 @@ def learn_by_simple_learner(
         "sigma_rms_m": sigma,
     }
     lines = (
-        f"{len(samples)} poses from {found.source}, learnt one at a time by {name} "
+        f"{count_text(len(samples), 'pose')} from {found.source}, learnt one at a time by {name} "
         f"({learner.SETTING} {learner.setting:g}){_after(before)}",
         f"poses deviated from the prediction by {first:.3g} standard deviations RMS in the first quarter, by "
         f"{last:.3g} in the last (1 once converged)",

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.report.pose_and_effect_figures import pose_coverage_figures
 from rig.array_and_json_types import Floats
+from rig.formats.numbers_and_units import count_text
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
@@ -98,7 +99,7 @@ def _figure(m: Measurement, i: int, frame: int, image: bytes) -> str:
         for (u, v), (du, dv) in zip(o.uv[solved].tolist(), (ENLARGED * m.residuals[solved]).tolist())
     )
     rms = f", {np.sqrt((m.residuals[solved] ** 2).mean()):.3f} px RMS" if len(solved) else ""
-    label = f"frame {frame}, {camera.name}: {len(np.unique(o.marker[rows]))} markers{rms}"
+    label = f"frame {frame}, {camera.name}: {count_text(len(np.unique(o.marker[rows])), 'marker')}{rms}"
     return (
         f'<figure class="picture"><div class="stack"><img alt="{html.escape(label)}" width="{camera.width}" '
         f'height="{camera.height}" '
@@ -130,7 +131,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
             "that the model omits.",
         ),
         paragraph_html(
-            f"{m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
+            f"{count_text(m.inliers.sum(), 'corner')} used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
             "aside as outliers. A corner "
             f"scatters by {m.noise:.4f} px per axis. {_held(result.held)}"
         ),
@@ -203,7 +204,7 @@ def _held(held: HeldOut | NotHeldOut) -> str:
     return (
         f"On frames held out, residuals are {held.ratio:.3f} ± {2 * held.scatter:.3f} of what the covariance "
         "predicts (1 where it is true), "
-        f"{held.rms:.3f} px RMS over {held.corners} corners."
+        f"{held.rms:.3f} px RMS over {count_text(held.corners, 'corner')}."
     )
 
 
@@ -250,7 +251,7 @@ def _residual_map(m: Measurement, i: int) -> str:
     mean, rms = means[:, :2], np.sqrt(means[:, 2])
     longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
     return image_plane_figure(
-        f"{camera.name}: {rows.sum()} corners",
+        f"{camera.name}: {count_text(rows.sum(), 'corner')}",
         f"longest arrow {longest:.3f} px",
         size,
         (Cells(centre, rms, cell, "px RMS"), Arrows(centre, mean, 1.2 * cell / longest, "px", 3)),

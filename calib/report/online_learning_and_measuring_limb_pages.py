@@ -13,6 +13,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import ALO
 from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
+from rig.formats.numbers_and_units import count_text
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
     heading_html,
@@ -66,7 +67,8 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
             "nothing remains to be learnt.",
         ),
         paragraph_html(
-            f"{len(result.frames)} poses from {result.source}, learnt one at a time. Joints and zeros moved by "
+            f"{count_text(len(result.frames), 'pose')} from {result.source}, learnt one at a time. "
+            f"Joints and zeros moved by "
             f"{result.moved * 1e3:.4f} mm RMS from rig.toml."
         ),
         *section_html("What jumped", [list_html(result.change_lines)] if result.change_lines else []),
@@ -173,7 +175,8 @@ def write_measuring_limbs_page(
         ),
         heading_html("In figures"),
         note_html(
-            f"{agreement.n} poses, vision's from {source}, each by limbs fitted to other stretches; µm and µrad."
+            f"{count_text(agreement.n, 'pose')}, vision's from {source}, each by limbs fitted to "
+            f"other stretches; µm and µrad."
         ),
         table_html(
             (
@@ -218,12 +221,16 @@ def measuring_limbs_verdict(agreement: Agreement, withdrawal_reason: str | None)
     if withdrawal_reason is not None:
         return judge_evidence(
             Evidence(
-                f"{agreement.n} poses", refuted=(f"the measuring limbs cannot replace vision: {withdrawal_reason}",)
+                f"{count_text(agreement.n, 'pose')}",
+                refuted=(f"the measuring limbs cannot replace vision: {withdrawal_reason}",),
             )
         )
     if agreement.passed.all():
         return judge_evidence(
-            Evidence(f"the measuring limbs pass on all six axes, over {agreement.n} poses: they may replace vision")
+            Evidence(
+                f"the measuring limbs pass on all six axes, over {count_text(agreement.n, 'pose')}: "
+                f"they may replace vision"
+            )
         )
     failing = ", ".join(axis for i, axis in enumerate(AXES) if not agreement.passed[i])
     surely = [axis for i, axis in enumerate(AXES) if agreement.proven_limits[i] > agreement.tolerance[i]]

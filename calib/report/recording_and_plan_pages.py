@@ -18,6 +18,7 @@ from calib.report.pose_and_effect_figures import (
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
+from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
@@ -97,16 +98,20 @@ def _recording_verdict(recording: Recording, frames: Integers, errors: dict[str,
     if recording.poses is None:
         return judge_evidence(
             Evidence(
-                f"{len(frames)} poses as rig.toml and the commands have them",
+                f"{count_text(len(frames), 'pose')} as rig.toml and the commands have them",
                 missing=(MissingEvidence("nothing was measured"),),
             )
         )
     if not errors:
-        return judge_evidence(Evidence(f"{len(frames)} poses as measured; there are no commands to compare them with"))
+        return judge_evidence(
+            Evidence(f"{count_text(len(frames), 'pose')} as measured; there are no commands to compare them with")
+        )
     far = np.linalg.norm(next(iter(errors.values()))[:, :3], axis=1)
     rms = float(np.sqrt(np.mean(far[np.isfinite(far)] ** 2))) if np.isfinite(far).any() else np.nan
     return judge_evidence(
-        Evidence(f"{len(frames)} poses as measured; the model in rig.toml is off by {rms * 1e3:.3f} mm RMS")
+        Evidence(
+            f"{count_text(len(frames), 'pose')} as measured; the model in rig.toml is off by {rms * 1e3:.3f} mm RMS"
+        )
     )
 
 

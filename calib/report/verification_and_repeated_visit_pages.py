@@ -30,6 +30,7 @@ from calib.report.pose_and_effect_figures import correction_error_figures, pose_
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
+from rig.formats.numbers_and_units import count_text
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
 from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html, table_html
@@ -176,7 +177,8 @@ def _evidence_from_wanted_poses(v: Verified) -> Evidence:
     ]
     times = max((size / sigma for size, sigma in pairs), default=math.nan)
     line = (
-        f"{figures.n} poses lie within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} "
+        f"{count_text(figures.n, 'pose lies', 'poses lie')} within {figures.position[0] * 1e3:.4f} "
+        f"mm RMS of those wanted, {times:.2f} "
         "times the stated standard "
         "uncertainty"
     )

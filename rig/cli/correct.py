@@ -21,7 +21,7 @@ from rig.cli.shared.common_options import (
     file_or_stdout,
 )
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_numbers, parse_quantity, parse_whole_number
+from rig.formats.numbers_and_units import count_text, parse_numbers, parse_quantity, parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.correct import CorrectionResult, CorrectOptions, PoseFrames
@@ -244,7 +244,7 @@ def _write_read_poses(arguments: Namespace, calibration: Calibration, out: Path)
         calibration, csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *axes))
     )
     found.write(out)
-    print(f"{len(found.poses.frame)} poses written to {arguments.out}: {found}")
+    print(f"{count_text(len(found.poses.frame), 'pose')} written to {arguments.out}: {found}")
     if found.physics:
         print("effects in the calibration are not subtracted from readings: they depend on the preceding motion")
 
@@ -295,11 +295,12 @@ def _print_uncertainty(result: CorrectionResult, covariance: Floats) -> None:
         )
     for what, count in done.uncovered:
         print(
-            f"{count} poses lie beyond what {what} was recorded over: over time it is not corrected there, all else is "
+            f"{count_text(count, 'pose lies', 'poses lie')} beyond what {what} was recorded over: "
+            f"over time it is not corrected there, all else is "
             "held at its end; its size is in the uncertainty"
         )
     if done.route.approached.any():
-        print(f"{done.route.approached.sum()} poses are approached from one side")
+        print(f"{count_text(done.route.approached.sum(), 'pose is', 'poses are')} approached from one side")
     left = [] if physics is None else [f"{e.label()} at {e.place}" for e in physics.scattering()]
     if left:
         print(f"not compensated, as its time is unknown, and in the uncertainty: {', '.join(left)}")

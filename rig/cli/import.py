@@ -11,6 +11,7 @@ from rig.array_and_json_types import Json
 from rig.cli.shared.argument_parser_and_option_values import parse_tolerance
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option
 from rig.errors import RigError
+from rig.formats.numbers_and_units import count_text
 
 if TYPE_CHECKING:
     from rig.formats.importers import ImportedRecording, Recipe
@@ -229,7 +230,8 @@ def _print_verdict(imported: "ImportedRecording") -> None:
     e, parts = imported.exposed, []
     pictures = sum(bool(name) for name in e.camera)
     parts.append(
-        f"{len(set(e.frame))} frames" + (f", {pictures} images of {len(set(e.camera))} cameras" if pictures else "")
+        f"{count_text(len(set(e.frame)), 'frame')}"
+        + (f", {count_text(pictures, 'image')} of {count_text(len(set(e.camera)), 'camera')}" if pictures else "")
     )
     commanded, posed, logged = imported.commanded, imported.posed, imported.logged
     for count, word in (

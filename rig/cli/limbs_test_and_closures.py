@@ -21,6 +21,7 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.input_options import add_recording_argument, notice_printer, read_recording
 from rig.cli.shared.output_display import Progress, print_frames_without_pose
+from rig.formats.numbers_and_units import count_text
 
 if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
@@ -131,7 +132,8 @@ def _print_agreement(found: Agreement, source: str) -> None:
     from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES
 
     print(
-        f"measuring limbs minus vision ({source}), {found.n} poses, each by limbs fitted to other stretches; "
+        f"measuring limbs minus vision ({source}), {count_text(found.n, 'pose')}, each by limbs "
+        f"fitted to other stretches; "
         "um and urad:"
     )
     print(
@@ -225,7 +227,7 @@ def _print_closures(result: LoopClosureResult) -> None:
         f"{len(legs.names)} legs for six freedoms; {', '.join(legs.names[i] for i in result.chosen)} give the pose, "
         f"{'as requested' if result.requested else 'the best-conditioned six'} (condition number "
         f"{np.median(condition):.3g} in the middle, {condition.max():.3g} at most); closures of the others "
-        f"at {len(result.frames)} poses, um:"
+        f"at {count_text(len(result.frames), 'pose')}, um:"
     )
     print(f"{'':4}{'mean':>10}{'RMS':>10}{'expected':>10}{'largest':>10}{'at frame':>10}")
     for k, (i, ratio) in enumerate(zip(found.checks, result.ratio)):

@@ -14,7 +14,7 @@ from rig.cli.shared.argument_parser_and_option_values import parse_length_and_an
 from rig.cli.shared.common_options import SEED, add_controller_arguments
 from rig.cli.shared.input_options import add_limb_options, limb_source
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_number, parse_whole_number
+from rig.formats.numbers_and_units import count_text, parse_number, parse_whole_number
 
 if TYPE_CHECKING:
     from calib.api.execute_plan_at_machine import PlannedRun, RunOptions
@@ -118,7 +118,7 @@ def run(arguments: Namespace) -> None:
     out = arguments.out
     frames = planned.carry_out(out, partial(run_displays, arguments.page), print)
     if planned.options.uses_cameras(design):
-        print(f"{frames} frames in {out}; rig measure {out} --out DIR measures them all jointly")
+        print(f"{count_text(frames, 'frame')} in {out}; rig measure {out} --out DIR measures them all jointly")
     else:
         print(
             f"{frames} visits in {out / 'visits.csv'}; join an instrument's poses to them by frame, as "
@@ -184,7 +184,8 @@ def _print_plan(planned: PlannedRun) -> None:
     if planned.options.in_motion is not None:
         frames, most = int(seconds / max(planned.options.interval, 1e-3)), "at most "
     print(
-        f"{len(steps)} steps, {most}{frames} frames of {len(cameras)} cameras, {distances.sum() * 1e3:.0f} mm of the "
+        f"{count_text(len(steps), 'step')}, {most}{count_text(frames, 'frame')} of "
+        f"{count_text(len(cameras), 'camera')}, {distances.sum() * 1e3:.0f} mm of the "
         f"busiest strut, {seconds / 60:.1f} min of moving; at most "
         f"{frames * pixels / 1e9:.2f} GB of images; nothing was moved"
     )

@@ -22,6 +22,7 @@ from rig.cli.shared.common_options import (
 )
 from rig.cli.shared.input_options import add_recording_argument, read_recording
 from rig.cli.shared.output_display import Progress, print_frames_without_pose, print_held_out_errors
+from rig.formats.numbers_and_units import count_text
 from rig.report.verdict_refutations_and_result_display import exit_status
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def _print_result(result: VerificationResult) -> None:
     for line in shown.displacement:
         print(line)
     if shown.driven is None:
-        print_held_out_errors(shown.held, f"{len(shown.samples)} poses from {result.sampled.source}")
+        print_held_out_errors(shown.held, f"{count_text(len(shown.samples), 'pose')} from {result.sampled.source}")
         if shown.found is not None and shown.found.parts:
             print(
                 "a machine error would have been detected from "

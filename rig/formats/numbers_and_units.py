@@ -118,6 +118,17 @@ def number_text(value: float, digits: int = 3) -> str:
     return f"{float(text):.0f}" if "e+" in text and abs(value) < PLAIN else text
 
 
+def count_text(count: int, noun: str, plural: str = "") -> str:
+    """Text of a count with its noun, and what follows it, in the singular or plural.
+
+    plural : by default the noun with an s
+
+    >>> count_text(1, "frame"), count_text(0, "frame"), count_text(2, "frame has no pose", "frames have no pose")
+    ('1 frame', '0 frames', '2 frames have no pose')
+    """
+    return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
+
+
 def digits_that_distinguish_numbers(low: float, high: float, digits: int = 3) -> int:
     """Number of significant digits, `digits` at least, at which low and high differ.
 

@@ -14,6 +14,7 @@ from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote
 from rig.formats.checked_entries import name_problem
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
+from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
@@ -110,7 +111,7 @@ class Recording(OneLineRepr):
 
     def __str__(self) -> str:
         frames, t = self.exposures.times()
-        return f"{self.name}: {len(frames)} frames over {np.ptp(t):.4g} s"
+        return f"{self.name}: {count_text(len(frames), 'frame')} over {np.ptp(t):.4g} s"
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

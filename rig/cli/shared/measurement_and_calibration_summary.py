@@ -15,6 +15,7 @@ from calib.models.arm.tilt_observations import tilt_report
 from calib.models.chain import certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
 from rig.cli.shared.output_display import print_frames_without_pose, print_held_out_errors
+from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.api import MeasurementResult, camera_offset_lines
@@ -81,7 +82,7 @@ def _print_figures(result: MeasurementResult) -> None:
     print(f"corners scatter by {measured.noise:.4f} px; {measured.inliers.sum()} of {len(measured.inliers)} used")
     print(
         f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
-        f"{held.rms:.3f} px RMS over {held.corners} corners"
+        f"{held.rms:.3f} px RMS over {count_text(held.corners, 'corner')}"
         if not isinstance(held, NotHeldOut)
         else f"no held-out figure: {held.reason}"
     )
@@ -326,7 +327,8 @@ def _print_pose_counts(result: CalibrationResult) -> None:
         else ""
     )
     print(
-        f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from "
+        f"{count_text(len(sampled.samples), 'pose')} of "
+        f"{count_text(done.label.max() + 1, 'distinct configuration')} from "
         f"{sampled.source}, {done.found.inliers.sum()} of "
         f"them agree with one geometry{named}"
     )

@@ -13,6 +13,7 @@ from calib.online.web_page_of_ongoing_run import RunPage
 from rig.array_and_json_types import Floats
 from rig.cli.shared.output_display import unescaped_stream
 from rig.driving.controller_status_and_limits import ControllerStatus
+from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
@@ -104,7 +105,9 @@ def run_state_lines(state: RunState) -> list[str]:
     Progress, strut bars, latest pose, alarms.
     """
     left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
-    frames = f"frame {state.frame} of {state.frames}" if state.frames else f"{state.frame} frames in motion"
+    frames = (
+        f"frame {state.frame} of {state.frames}" if state.frames else f"{count_text(state.frame, 'frame')} in motion"
+    )
     lines = [f"{frames}, step {state.step} of {state.steps}{left}", state.phase]
     for i, (length, goal, (low, high)) in enumerate(zip(state.lengths, state.goal, state.ranges), 1):
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))

@@ -29,6 +29,16 @@ def escape_html(text: str) -> str:
     return html.escape(text)
 
 
+MINUS = re.compile(r"(?<![^\s(±,])-(?=\.?\d)|(?<=\de)-(?=\d)")  # of a number or its exponent
+DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
+SHOWN = 12  # digits of a digest
+
+
+def with_minus_signs(text: str) -> str:
+    """Text of figures with the sign of print for minus."""
+    return MINUS.sub("−", text)
+
+
 def text_width(text: str, size: float) -> float:
     """Width of text on a figure, an upper bound, in the unit of `size`, its letters' height."""
     return size * sum(NARROW.get(letter, LETTER) for letter in text)
@@ -72,7 +82,8 @@ def svg_text(x: float, y: float, words: str, anchor: str = "start", style: str =
     anchor : start, middle or end; style : a class of figure.css
     """
     named = f' class="{style}"' if style else ""
-    return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(words)}</text>'
+    shown = with_minus_signs(words) if re.match(r"-\.?\d", words) else words
+    return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(shown)}</text>'
 
 
 def svg_text_or_empty_if_too_large(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
@@ -188,7 +199,10 @@ def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         for cell, text in zip(header, of_text)
     )
     cells = [
-        [f"<td{_style(cell, text, LONG)}>{escape_html(cell)}</td>" for cell, text in zip(line, of_text)]
+        [
+            f"<td{_style(DIGEST.sub('', cell), text, LONG)}>{_cell_html(cell, text)}</td>"
+            for cell, text in zip(line, of_text)
+        ]
         for line in lines
     ]
     body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
@@ -197,6 +211,14 @@ def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         '<div class="scroll" tabindex="0" role="group" aria-label="table of '
         f'{name}"><table><tr>{head}</tr>{body}</table></div>'
     )
+
+
+def _cell_html(cell: str, text: bool) -> str:
+    """A cell's HTML. text : whether its column is of text; in others minus signs are those of print. Of a SHA-256 the
+    first digits are shown, all of them in its title.
+    """
+    shown = escape_html(cell if text else with_minus_signs(cell))
+    return DIGEST.sub(lambda found: f'<code title="SHA-256 {found[0]}">{found[0][:SHOWN]}</code>', shown)
 
 
 def _of_text(column: Sequence[str]) -> bool:

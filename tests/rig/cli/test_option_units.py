@@ -39,9 +39,12 @@ def start_in_mm_and_degrees(text):
     return _start(text, ("m", "rad"), LengthAndAngleUnits("mm", "deg"))
 
 
+def pose_sigma(text):
+    return parse_length_and_angle(option("plan", "x", "--for", "parameters", "--out", "y", "sigma")(text), "--sigma")
+
+
 QUANTITIES = {
-    "plan --sigma": (lambda text: parse_length_and_angle(option("plan", "x", "--for", "parameters", "--out", "y", "sigma")(text), "--sigma"),
-                     "20um 50urad", "2e-5 5e-5", (2e-5, 5e-5)),
+    "plan --sigma": (pose_sigma, "20um 50urad", "2e-5 5e-5", (2e-5, 5e-5)),
     "calibrate online --drift": (option("calibrate online", "x", "drift"), "0.2um", "2e-7", 2e-7),
     "calibrate online --step": (option("calibrate online", "x", "step"), "2mm", "0.002", 2e-3),
     "export --lead": (option("export", "x", "--format", "json", "--out", "y", "lead"), "4mm", "0.004", 4e-3),
