@@ -8,26 +8,28 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "glossary.md"
 GENERATED = ("rig-toml.md", "tables.md", "effects.md", "results.md", "gallery.md")
-SPECIAL = {  # anchor in the glossary: the word as pages use it
-    "claim": "claims?",
-    "closure": "closures?",
-    "configuration": "configurations?",
-    "confound": "confounds?",
-    "covariate": "covariates?",
-    "crowd": "crowd",
-    "extension": "extensions?",
-    "gdk": "GDK",
-    "held-out": "held[- ]out",
-    "ksf": "KSF",
-    "limb": "limbs?",
-    "nuisance": "nuisances?",
-    "promise": "promises?",
-    "remainder": "remainders?",
-    "secret": "secret",
-    "stage": "stages?",
-    "verdict": "verdicts?",
-    "wild": "wild",
+ROW = re.compile(r'^\| <a id="([\w-]+)"></a>([^|]+?) \| (.+) \|$', re.MULTILINE)
+ROWS = ROW.findall(PAGE.read_text(encoding="utf-8"))  # (anchor, word, meaning)
+FORMS = {  # anchor: the word as pages use it, where that is not the word with or without an s, or is a common word too
+    "exposure-frame": "exposures?",
+    "family": "famil(?:y|ies)",
+    "further-pass": "further pass(?:es)?",
+    "home": "home pose|(?<=at )home|(?<=from )home|(?<=relative to )home",
+    "nominal-stated": "nominal",
+    "place": "(?<=at these )places|(?<=with their )place|(?<=where an effect acts, its )place",
+    "play": "backlash|(?<!may )(?<!can )play",
+    "visit": "(?<=a )visit|(?<=first )visit|(?<=small )visits|(?<=more )visits|(?<=later )visits|(?<=of )visits",
+    "zero": "zeros",
 }
+
+
+def forms(anchor: str, word: str) -> str:
+    """Pattern of a word of the glossary as pages use it; abbreviations stand as they are."""
+    plain = "|".join(re.escape(part).replace("\\ ", "[- ]") + "s?" * part.islower() for part in word.split(", "))
+    return FORMS.get(anchor, plain)
+
+
+SPECIAL = {anchor: forms(anchor, word) for anchor, word, _ in ROWS}
 HIDDEN = re.compile(
     r"^(?: {4}|#|```)[^\n]*$|`[^`\n]*`|\$\$.*?\$\$|\$[^$\n]+\$|!?\[[^\]]*\]\([^)]*\)|<[^>\n]+>",
     re.MULTILINE | re.DOTALL,
