@@ -24,6 +24,7 @@ docs: .venv/.runs
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
 	$(BIN)/python -m docs.make.rig_toml > docs/rig-toml.md
 	$(BIN)/python -m docs.make.tables > docs/tables.md
+	$(BIN)/python -m docs.make.commands > docs/commands.md
 	$(BIN)/rig effects document --force --out docs/effects.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 

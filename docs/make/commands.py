@@ -1,4 +1,7 @@
-"""The page of commands: what `rig COMMAND --help` says, of every command. Made when the documents are built."""
+"""docs/commands.md: what `rig COMMAND --help` says, of every command.
+
+`python -m docs.make.commands > docs/commands.md`
+"""
 
 import argparse
 
@@ -9,8 +12,8 @@ from rig.cli.shared.common_options import SHARED, add_worker_options
 
 HEAD = """# The commands
 
-Made from the commands themselves; `rig COMMAND --help` says the same. A recording is a folder ([its \
-tables](tables.md), [rig.toml](rig-toml.md)). Its tables
+Made from the commands themselves (`python -m docs.make.commands`); `rig COMMAND --help` says the same.
+A recording is a folder ([its tables](tables.md), [rig.toml](rig-toml.md)). Its tables
 are in SI units and radians; figures are printed in millimetres and milliradians. [What commands \
 write](files.md) lists the exit statuses, and what
 commands never write over.
@@ -63,3 +66,7 @@ def _value(action: argparse.Action) -> str:
     if action.metavar is not None:
         return action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar)
     return "{" + ",".join(map(str, action.choices)) + "}" if action.choices is not None else action.dest.upper()
+
+
+if __name__ == "__main__":
+    print(page(), end="")

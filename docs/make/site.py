@@ -19,10 +19,9 @@ sys.path[:0] = [str(ROOT)]  # the pages are made from this tree
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages and the diagrams that are made from the code, and the changes."""
-    from docs.make import api, commands, dependency_diagram, messages
+    from docs.make import api, dependency_diagram, messages
 
     made = {
-        "commands.md": commands.page(),
         "troubleshooting.md": messages.page(),
         "api.md": api.page(),
         "dependencies.md": dependency_diagram.page(),

@@ -80,8 +80,8 @@ def parse_quantity(text: str, unit: str, plain: float = 1.0) -> float:
     plain : what a number without a unit is multiplied by
     Raises ValueError for anything else
 
-    >>> parse_quantity("20um", "m"), parse_quantity("-0.5mm", "m"), parse_quantity("3", "m/s", 1e-3)
-    (2e-05, -0.0005, 0.003)
+    >>> parse_quantity("-0.5mm", "m"), parse_quantity("3", "m/s", 1e-3), parse_quantity("3mm/s", "m/s")
+    (-0.0005, 0.003, 0.003)
     """
     found = _QUANTITY.fullmatch(text)
     if found is None or found[2] is None:

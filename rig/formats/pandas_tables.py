@@ -6,11 +6,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import MissingLibrary
 from rig.model.pose import pose_to_vector
 
 DataFrame: TypeAlias = Any  # of pandas, which need not be installed
+Column: TypeAlias = Sequence[object] | Floats | Integers | Booleans
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
@@ -19,8 +20,8 @@ def pandas_table(names: Sequence[str], rows: Iterable[Sequence[object]]) -> Data
     return pandas_table_of_columns(dict(zip(names, zip(*rows))) or {name: () for name in names})
 
 
-def pandas_table_of_columns(columns: Mapping[str, Sequence[object] | np.ndarray]) -> DataFrame:
-    """DataFrame of columns {name: values}. Raises MissingLibrary without pandas."""
+def pandas_table_of_columns(columns: Mapping[str, Column]) -> DataFrame:
+    """DataFrame of columns {name: (n,) values}. Raises MissingLibrary without pandas."""
     try:
         import pandas
     except ImportError:
@@ -35,7 +36,7 @@ def pandas_table_of_poses(frame: Integers, T: RigidTransform, covariance: Floats
     `sigma_x_m` .. `sigma_rz_rad`, are along and about the axes of the moved body, as the covariance is.
     Raises MissingLibrary without pandas
     """
-    columns = {"frame": frame, **_six("", pose_to_vector(T))}
+    columns: dict[str, Column] = {"frame": frame, **_six("", pose_to_vector(T))}
     if covariance is not None:
         columns |= _six("sigma_", np.sqrt(np.einsum("nii->ni", covariance)))
     return pandas_table_of_columns(columns)
@@ -47,12 +48,12 @@ def pandas_table_of_errors(frame: Integers, errors: Mapping[str, Floats]) -> Dat
     frame : (n,); errors : {name: (n, 6) m, rad}, whose columns are `NAME_x_m` .. `NAME_rz_rad`
     Raises MissingLibrary without pandas
     """
-    columns = {"frame": frame}
+    columns: dict[str, Column] = {"frame": frame}
     for name, values in errors.items():
         columns |= _six(f"{name}_", values)
     return pandas_table_of_columns(columns)
 
 
-def _six(prefix: str, values: Floats) -> dict[str, np.ndarray]:
-    """Six columns, one for each coordinate of a pose."""
+def _six(prefix: str, values: Floats) -> dict[str, Column]:
+    """Six columns, one for each coordinate of poses (n, 6)."""
     return {f"{prefix}{name}": column for name, column in zip(POSE_COLUMNS, values.T)}

@@ -5,7 +5,8 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted((ROOT / "docs").glob("*.md")) + [ROOT / "README.md"]
+USAGE = ROOT / "docs" / "commands.md"  # patterns of commands, none of them to be typed as it stands
+PAGES = sorted(set((ROOT / "docs").glob("*.md")) - {USAGE}) + [ROOT / "README.md"]
 SKETCH = re.compile(r" \.\.|\.\. | \| |\[")  # a line that leaves something to the reader
 
 

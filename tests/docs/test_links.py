@@ -10,7 +10,7 @@ from tests.docs.document_commands import ROOT
 
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
 PAGES += sorted((ROOT / "docs").rglob("*.md"))
-MADE_BY_THE_SITE = {"commands.md", "troubleshooting.md", "api.md", "dependencies.md", "changelog.md"}
+MADE_BY_THE_SITE = {"troubleshooting.md", "api.md", "dependencies.md", "changelog.md"}
 TARGET = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"^```.*?^```|^ {4}[^\n]*|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
