@@ -12,7 +12,7 @@ programs, `plan_run` begins a run of the machine. `load` and `save` are of calib
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_exports
+from rig.compute.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions as CalibrateOptions

@@ -7,7 +7,7 @@
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_exports, set_kernel_cache_folder
+from rig.compute.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from rig.api import CheckResult as CheckResult
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions as LayoutOptions
     from rig.planning.layout.shipped_arms_and_layouts import new_rig_toml as new_rig_toml
     from rig.recording.recording_folder import Recording as Recording
-
-set_kernel_cache_folder()
 
 __all__ = [
     "load",

@@ -6,7 +6,7 @@
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_exports
+from rig.compute.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from synthetic.api import ImageOptions as ImageOptions

@@ -13,7 +13,7 @@ import calib
 import rig
 import synthetic
 import vision
-from rig.cli.command_line import module_of_command
+from rig.cli.command_execution import module_of_command
 from rig.cli.command_list import COMMANDS, SHARED_FILES
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml

@@ -6,7 +6,7 @@ every frame with covariance, cameras as adjusted.
 
 from typing import TYPE_CHECKING
 
-from rig.compute.numba_kernels_and_lazy_exports import lazy_exports
+from rig.compute.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from vision.api import MeasurementResult as MeasurementResult

@@ -9,7 +9,7 @@ ahead).
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -6,7 +6,7 @@
 import argparse
 
 from docs.make.field_texts import in_cell
-from rig.cli.command_line import functions_of_command
+from rig.cli.command_execution import functions_of_command
 from rig.cli.command_list import GROUPS, STATUSES
 from rig.cli.shared.common_options import SHARED, add_worker_options
 

@@ -1,7 +1,7 @@
 """rig home, jog, stop and status: single commands to a controller.
 
-Struts are homed, or moved once, by a distance or to given lengths and checked as any move; nothing is interactive. For
-stop, nothing that takes time is imported before the controller was sent its urgent stop. For status, nothing moves.
+Struts are homed, or moved once, by a distance or to given lengths and checked as any move; nothing is interactive. A
+stop was begun before this is imported (rig.cli.stop_before_imports). For status, nothing moves.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from rig.formats.numbers_and_units import parse_quantity, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats
+    from rig.driving.controller_address_and_urgent_stop import BegunStop
 
 
 def arguments_of_home(parser: ArgumentParser) -> None:
@@ -132,30 +133,34 @@ def run_stop(arguments: Namespace) -> None:
 
     Stop the struts, and any process that moves them; its run can be resumed.
     """
-    from rig.driving.clock import SystemClock
-    from rig.driving.controller_address_and_urgent_stop import (
-        controller_address_in_rig_toml,
-        urgently_stopped_controller,
-    )
-    from rig.driving.controller_lock import stop_lock_holder
+    begun = arguments.begun_stop or _begun_stop(arguments)
+    if isinstance(begun, BaseException):
+        raise begun
+    with begun:
+        if begun.holder is not None:
+            begun.await_holder(PATIENCE)
+            print(f"process {begun.holder.pid}, which drove them, was stopped")
+        stopped = begun.stopped_controller()
 
-    clock = SystemClock()
-    address = controller_address_in_rig_toml(arguments.design, arguments.port)
-    if address is None:
-        from rig.driving.driver_opening_and_settling import address_of_controller, design_with_controller_port
-
-        stated = design_with_controller_port(arguments.design, arguments.port)
-        address = address_of_controller(stated.driver(), stated.mechanism)
-    other = stop_lock_holder(address.port, clock, PATIENCE, address.usb)
-    if other is not None:
-        print(f"process {other}, which drove them, was stopped")
-    with urgently_stopped_controller(address, clock) as stopped:
         from rig.cli.shared.run_display_and_controller_status import print_status
         from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
         design = design_with_controller_port(arguments.design, arguments.port)
-        with open_driver(design, arguments.trace, print, clock, stopped) as driver:
+        with open_driver(design, arguments.trace, print, begun.clock, stopped) as driver:
             print_status(driver.status(), design)
+
+
+def _begun_stop(arguments: Namespace) -> BegunStop:
+    """A stop that is begun now, of a rig.toml that has to be read whole for it."""
+    from rig.driving.clock import SystemClock
+    from rig.driving.controller_address_and_urgent_stop import BegunStop, controller_address_in_rig_toml
+    from rig.driving.driver_opening_and_settling import address_of_controller, design_with_controller_port
+
+    address = controller_address_in_rig_toml(arguments.design, arguments.port)
+    if address is None:
+        stated = design_with_controller_port(arguments.design, arguments.port)
+        address = address_of_controller(stated.driver(), stated.mechanism)
+    return BegunStop(address, SystemClock())
 
 
 def arguments_of_status(parser: ArgumentParser) -> None:

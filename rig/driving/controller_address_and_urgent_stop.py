@@ -5,17 +5,16 @@ As rig.toml states it; the stop is sent before anything that takes time is impor
 What a rig.toml states of its controller is read here as text alone; whoever goes on reads it whole, and refuses it.
 """
 
+import os
 import tomllib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from contextlib import ExitStack, contextmanager
+from typing import NamedTuple
 
 from rig.driving.clock import Clock
-from rig.driving.controller_lock import ControllerLock
+from rig.driving.controller_lock import ControllerLock, ask_lock_holder_to_end, await_end_of_lock_holder
 from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
 from rig.errors import FileError
-from rig.formats.user_python_file import literal_in_class_body, read_user_text
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
 STOPS = {
@@ -37,8 +36,7 @@ def epics_motor_record_stop_bytes(motors: Iterable[str]) -> bytes:
     return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")
 
 
-@dataclass(frozen=True, slots=True)
-class ControllerAddress:
+class ControllerAddress(NamedTuple):
     """Where a controller is, and how it is spoken to. port, usb, baudrate, protocol, password, enable_password : as
     [controller] states them; stop : its protocol's bytes that stop it; axes : the controller's names of them, ()
     where they have usual ones
@@ -63,8 +61,7 @@ class ControllerAddress:
         return f"HELLO {self.password} {CLIENT}\r\nSET ENABLE {self.enable_password}\r\n".encode() + stop
 
 
-@dataclass(frozen=True, slots=True)
-class StoppedController:
+class StoppedController(NamedTuple):
     """A controller that was sent its urgent stop. lock, port : held, open; sent : what; t : when, s on the clock"""
 
     lock: ControllerLock
@@ -73,13 +70,14 @@ class StoppedController:
     t: float
 
 
-def controller_address_in_rig_toml(path: Path, port: str | None) -> ControllerAddress | None:
+def controller_address_in_rig_toml(path: str | os.PathLike[str], port: str | None) -> ControllerAddress | None:
     """ControllerAddress that a rig.toml states, None where it cannot be read as text alone.
 
     port : in place of the stated one
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8")).get("controller")
+        with open(path, encoding="utf-8") as file:
+            table = tomllib.loads(file.read()).get("controller")
     except (OSError, ValueError):
         return None
     if not isinstance(table, dict):
@@ -99,15 +97,19 @@ def controller_address_in_rig_toml(path: Path, port: str | None) -> ControllerAd
     return ControllerAddress(str(protocol), texts[0], texts[1], baudrate, texts[2], texts[3], stop, tuple(axes))
 
 
-def _stop_bytes(protocol: str, path: Path) -> bytes | None:
+def _stop_bytes(protocol: str, path: str | os.PathLike[str]) -> bytes | None:
     """Bytes that stop a controller, None where they cannot be read as text alone. Of a user's file they are a literal
     that is read; the file is not run. path : of rig.toml
     """
     kind, _, place = protocol.partition(":")
     if kind != "file":
         return STOPS.get(protocol)
+    from pathlib import Path  # these take time, and other protocols do without
+
+    from rig.formats.user_python_file import literal_in_class_body, read_user_text
+
     try:
-        stop = literal_in_class_body(read_user_text(path.parent / place)[0], "urgent_stop")
+        stop = literal_in_class_body(read_user_text(Path(path).parent / place)[0], "urgent_stop")
     except FileError:
         return None
     return stop if isinstance(stop, bytes) else None
@@ -123,11 +125,46 @@ def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Ite
 
     Raises RigError where another process drives it, LinkLost where its port does not open.
     """
-    with ControllerLock(address.port, address.usb) as lock:
+    with ExitStack() as stack:
+        lock = ControllerLock(address.port, address.usb)
+        stack.push(lock)
         port = open_port(address.port, address.usb, address.baudrate, clock)
-        try:
-            data = address.urgent_stop()
-            port.write(data)
-            yield StoppedController(lock, port, data, clock.now())
-        finally:
-            port.close()
+        stack.callback(port.close)
+        data = address.urgent_stop()
+        port.write(data)
+        sent = clock.now()
+        lock.__enter__()  # its thread takes long to start on a busy computer
+        yield StoppedController(lock, port, data, sent)
+
+
+class BegunStop:
+    """A stop that was begun: the process that drives was asked to end; where none does, the urgent stop was sent.
+
+    A context manager, at whose end the controller's port is closed and its lock released.
+    holder : the process that was asked to end, None where none drove; clock : of the times
+    """
+
+    def __init__(self, address: ControllerAddress, clock: Clock) -> None:
+        """Raises what urgently_stopped_controller raises."""
+        self._address, self.clock, self._stack = address, clock, ExitStack()
+        self._stopped: StoppedController | None = None
+        self.holder = ask_lock_holder_to_end(address.port, address.usb)
+        if self.holder is None:
+            self.stopped_controller()
+
+    def __enter__(self) -> "BegunStop":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def await_holder(self, timeout: float) -> None:
+        """Return once the holder drives no more; it is killed after `timeout` (s). Raises RigError where that fails."""
+        if self.holder is not None:
+            await_end_of_lock_holder(self.holder, self._address.port or self._address.usb, self.clock, timeout)
+
+    def stopped_controller(self) -> StoppedController:
+        """The controller, sent its urgent stop once. Raises what urgently_stopped_controller raises."""
+        if self._stopped is None:
+            self._stopped = self._stack.enter_context(urgently_stopped_controller(self._address, self.clock))
+        return self._stopped

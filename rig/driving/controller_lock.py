@@ -19,7 +19,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
@@ -33,8 +33,7 @@ FIRST, PORTS = 20000, 12000  # TCP ports of locks, below those that systems hand
 SILENT = "another process holds the controller and does not identify itself"
 
 
-@dataclass(frozen=True, slots=True)
-class LockHolder:
+class LockHolder(NamedTuple):
     """A process that drives. name : of the lock; pid : 0 where it runs in another process namespace; uid : of its
     user, None where the system does not say
     """
@@ -172,6 +171,7 @@ _held: set[socket.socket] = set()  # of this process, which no forked child may 
 class ControllerLock:
     """Holds the controller at a port for this process. Raises RigError naming the process that has it.
 
+    Within its context callers are answered; before that they wait.
     port : as [controller] states it, or the USB device's number; usb : of [controller], "" where none is stated
     """
 
@@ -189,16 +189,17 @@ class ControllerLock:
             self._close()
             raise
         self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
 
     def __enter__(self) -> "ControllerLock":
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._open = False
         with suppress(OSError):  # closed, in a forked child
             self._wake.send(b"\0")
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         self._close()
 
     def _close(self) -> None:
@@ -229,27 +230,44 @@ def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") 
     """Stop the process that holds a controller's lock.
 
     It halts the struts and ends, or is killed after `timeout`.
-    timeout : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores
-    SIGINT; over its lock where it is another user's or the system does not say whose
+    timeout : s after which one that has not is killed
     Returns its number, or None where nobody drives. Raises RigError where it does not let go
     """
-    names = lock_names(port, usb_id)
-    holder = next((found for name in names if (found := _lock_holder(name))), None)
+    holder = ask_lock_holder_to_end(port, usb_id)
     if holder is None:
         return None
+    await_end_of_lock_holder(holder, port or usb_id, clock, timeout)
+    return holder.pid
+
+
+def ask_lock_holder_to_end(port: str, usb_id: str = "") -> LockHolder | None:
+    """Ask the process that holds a controller's lock to halt the struts and end.
+
+    By SIGTERM, as a shell's background job ignores SIGINT; over its lock where it is another user's or the system does
+    not say whose.
+    Returns it, or None where nobody drives.
+    """
+    holder = next((found for name in lock_names(port, usb_id) if (found := _lock_holder(name))), None)
+    if holder is not None:
+        _ask_to_end(holder)
+    return holder
+
+
+def await_end_of_lock_holder(holder: LockHolder, port: str, clock: Clock, timeout: float) -> None:
+    """Return once a process that was asked to end holds its lock no more; kill it after `timeout` (s).
+
+    port : of the controller, for messages
+    Raises RigError where it does not let go
+    """
     for kill, wait in ((False, timeout), (True, KILLED)):
         if kill:
-            _kill(holder, port or usb_id)
-        else:
-            _ask_to_end(holder)
+            _kill(holder, port)
         end = clock.now() + wait
         while clock.now() <= end:
             if _lock_holder(holder.name) != holder:
-                return holder.pid
+                return
             clock.sleep(LOOK)
-    raise RigError(
-        f"{holder} was killed and still holds the controller at {port or usb_id}: use the rig's own emergency stop"
-    )
+    raise RigError(f"{holder} was killed and still holds the controller at {port}: use the rig's own emergency stop")
 
 
 def lock_names(port: str, usb_id: str = "") -> list[str]:

@@ -13,7 +13,6 @@ too. No search by broadcast: the IOC, or its gateway, is named by its address.
 """
 
 import binascii
-import getpass
 import io
 import os
 import re
@@ -23,12 +22,10 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote, urlsplit
 
 import serial
-from serial.tools import list_ports
 
 from rig.driving.clock import Clock
 from rig.errors import LinkLost, MissingLibrary
@@ -48,6 +45,8 @@ def _reason(error: Exception) -> str:
 
 def _present_ports(url: str) -> str:
     """What ports there are, for somebody who named another device."""
+    from serial.tools import list_ports
+
     found = sorted(port.device for port in list_ports.comports())
     return "" if "://" in url else f"; serial ports here: {', '.join(found) or 'none'} (`rig doctor` lists them)"
 
@@ -133,6 +132,8 @@ def find_usb_port(url: str, usb_id: str) -> str:
     """
     if not usb_id:
         return url
+    from serial.tools import list_ports
+
     ports = [
         port
         for port in list_ports.comports()
@@ -146,8 +147,7 @@ def find_usb_port(url: str, usb_id: str) -> str:
 _FRAME = re.compile(r"([<>])(-|\d{1,5}) ([^*<>!]*)\*([0-9A-F]{4})")
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(NamedTuple):
     """number : of the request, None where a broken frame is complained of; text : without number and checksum."""
 
     number: int | None
@@ -188,6 +188,8 @@ class ChannelAccessPort:
     """
 
     def __init__(self, url: str, clock: Clock) -> None:
+        import getpass
+
         try:
             import caproto
         except ImportError:

@@ -16,7 +16,7 @@ from typing import get_args
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
-from rig.cli.command_line import functions_of_command, join_command_words
+from rig.cli.command_execution import functions_of_command, join_command_words
 from rig.cli.command_list import COMMANDS
 from rig.cli.shared.common_options import add_common_options
 from rig.errors import FileError

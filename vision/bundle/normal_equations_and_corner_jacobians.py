@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision import lens
 from vision.bundle.unknowns_estimate_and_printing_errors import (

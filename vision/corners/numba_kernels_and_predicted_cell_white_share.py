@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels_and_lazy_exports import CompilerOptions, Kernel
+from rig.compute.numba_kernels import CompilerOptions, Kernel
 
 _OPTIONS: CompilerOptions = {"cache": True, "nogil": True, "error_model": "numpy"}
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.model.pose import rotate_in_place
 
 FAR = 0.5  # s to the frame before or after, beyond which it says nothing

@@ -23,7 +23,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     merge_repeated_samples,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.errors import RigError
 
 MOST = {

@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
 from rig.array_and_json_types import Booleans, Floats
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 
 
 class Likelihood:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.identify.bounded_least_squares_and_robust_fit import Linear
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (

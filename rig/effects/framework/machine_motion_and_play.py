@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.base_and_link_tilts import gravity_at_exposures

@@ -14,7 +14,7 @@ from math import atan2, sqrt
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 
 SLACK = 1e-10  # m or rad; by so much a pose may lie beyond the edge of the reach before it counts as unreachable
 SINGULAR = 1e-6  # sine (or share of a length) below which a joint's two readings count as one

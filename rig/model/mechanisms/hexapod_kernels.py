@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.compute.worker_processes import worker_count
 
 WIDTH = 8  # lanes: doubles of a 512-bit register, two registers of 256 bits

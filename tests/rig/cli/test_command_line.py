@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.cli import command_line as cli
-from rig.cli.command_line import command_line_parser, main
+from rig.cli import command_execution as cli
+from rig.cli.command_execution import command_line_parser
+from rig.cli.command_line import main
 from rig.cli.command_list import COMMANDS, EARLIER_NAMES, GROUPS
 from rig.cli.shared.argument_parser_and_option_values import join_negative_numbers, nearest_word, parse_length_and_angle
 from rig.cli.shared.output_display import Progress, progress_line
@@ -131,7 +132,7 @@ def test_every_command_has_a_file_and_help():
 
 
 def test_no_option_takes_a_name_that_the_command_line_sets():
-    """What rig/cli/command_line.py keeps among the arguments would stand in the place of what was asked for."""
+    """What rig/cli/command_execution.py keeps among the arguments would stand in the place of what was asked for."""
     tree = ast.parse(Path(cli.__file__).read_text())
     own = {
         node.attr
@@ -382,7 +383,7 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 def test_help_of_every_command_opens_no_library():
     code = (
-        "import sys; from rig.cli.command_line import command_line_parser\n"
+        "import sys; from rig.cli.command_execution import command_line_parser\n"
         "from rig.cli.command_list import COMMANDS; command_line_parser(COMMANDS)\n"
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )

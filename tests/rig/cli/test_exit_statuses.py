@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from rig.cli.command_line import command_line_parser, functions_of_command
+from rig.cli.command_execution import command_line_parser, functions_of_command
 from rig.cli.command_list import COMMANDS, STATUSES, exit_status_text, exit_statuses
 from tests.conftest import ROOT
 

@@ -5,7 +5,7 @@ import argparse
 import numpy as np
 import pytest
 
-from rig.cli.command_line import functions_of_command
+from rig.cli.command_execution import functions_of_command
 from rig.cli.correct import _start
 from rig.cli.home_jog_stop_status import _lengths
 from rig.cli.shared.argument_parser_and_option_values import join_negative_numbers, parse_length_and_angle

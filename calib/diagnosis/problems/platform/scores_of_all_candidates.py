@@ -28,7 +28,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels_and_lazy_exports import njit
+from rig.compute.numba_kernels import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion

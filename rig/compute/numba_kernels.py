@@ -1,8 +1,6 @@
-"""Numba kernels, and lazy exports of packages.
+"""Numba kernels, compiled lazily, with a private cache folder.
 
-Kernels are compiled lazily, with a private cache folder; exports are a package's names.
-
-Files in the cache are loaded as code, so its folder must be private.
+Files in the cache are loaded as code, so their folder must be private.
 """
 
 import hashlib
@@ -16,7 +14,6 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, cast
@@ -283,15 +280,4 @@ def njit(**options: Unpack[CompilerOptions]) -> Callable[[F], F]:
     return kernel
 
 
-def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """The `__getattr__` of a package that imports the module of a name lazily, and the `__dir__` that lists its names.
-    modules : {name: "module" that has it under that name, or "module:other name"}
-    """
-
-    def attribute(name: str) -> object:
-        if name not in modules:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, _, other = modules[name].partition(":")
-        return getattr(import_module(module), other or name)
-
-    return attribute, lambda: sorted({*modules, *vars(import_module(package))})
+set_kernel_cache_folder()
