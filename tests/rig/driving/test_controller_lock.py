@@ -1,6 +1,7 @@
 """One process drives a device, whoever it is and whatever its environment; whoever else may stop it."""
 
 import fcntl
+import itertools
 import os
 import shutil
 import signal
@@ -8,10 +9,15 @@ import socket
 import struct
 import subprocess
 import sys
+import sysconfig
+import tempfile
 import threading
+import time
+from pathlib import Path
 
 import pytest
 
+from rig.cli.command_line import main
 from rig.driving import controller_lock
 from rig.driving import ports_and_numbered_frames as ports
 from rig.driving.clock import SystemClock
@@ -20,6 +26,7 @@ from rig.driving.ports_and_numbered_frames import SerialPort
 from rig.errors import LinkLost, RigError
 from rig.model.protocol_and_port_names import port_problem
 from tests.conftest import ROOT
+from tests.emulated_run import EmulatedRig
 
 TCP = "import rig.driving.controller_lock as lock\nlock.ABSTRACT = False\n"  # as off Linux
 HOLD = (
@@ -83,13 +90,6 @@ def test_a_second_process_is_refused_whatever_its_environment_and_the_first_is_s
 ):
     (tmp_path / "link").symlink_to(device)
     one_is_refused_and_stopped(device, tmp_path / "link", first_lines=before_all)
-
-
-@pytest.mark.slow
-def test_a_hundred_times_of_a_hundred(device, tmp_path):
-    (tmp_path / "link").symlink_to(device)
-    for _ in range(100):
-        one_is_refused_and_stopped(device, tmp_path / "link")
 
 
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")
@@ -222,3 +222,81 @@ def test_a_port_of_another_scheme_is_refused_and_writes_nothing(url, tmp_path):
 )
 def test_ports_are_what_they_were(url):
     assert port_problem(url) is None
+
+
+RIG = "import sys; from rig.cli.command_line import run_script; run_script()"
+ROUNDS = 100
+BARE = {"PATH": "/usr/bin:/bin", "SHELL": "/bin/sh"}
+STARTED_BY = {  # what starts a command: its environment
+    "cron": BARE | {"HOME": "/nowhere", "LOGNAME": "cron"},
+    "sudo": BARE | {"HOME": "/root", "SUDO_USER": "somebody", "SUDO_UID": "1000", "TERM": "xterm"},
+    "terminal": BARE | {"XDG_RUNTIME_DIR": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8"},
+}
+
+
+@pytest.fixture(scope="module")
+def users():
+    """{user: (what becomes that user, a Python that it reaches)}: this one, and nobody where root runs the tests."""
+    found = {"own": ([], sys.executable)}
+    system = shutil.which(f"python3.{sys.version_info.minor}", path="/usr/bin:/usr/local/bin")
+    for interpreter in (sys.executable, system):
+        if os.geteuid() == 0 and shutil.which("setpriv") and interpreter and "nobody" not in found:
+            words = [*NOBODY, interpreter, "-c", "import numpy, serial, rig.driving.controller_lock"]
+            if subprocess.run(words, capture_output=True, cwd="/", env=BARE | packages()).returncode == 0:
+                found["nobody"] = (NOBODY, interpreter)
+    return found
+
+
+def packages():
+    """Environment by which another Python of this version finds the same packages."""
+    return {"PYTHONPATH": os.pathsep.join([str(ROOT), sysconfig.get_path("purelib")])}
+
+
+@pytest.fixture
+def open_rig():
+    """An emulated rig that every user of this computer may drive, homed."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        made = EmulatedRig(Path(folder))
+        os.chmod(Path(folder) / "port", 0o666)
+        assert main(["home", str(Path(folder) / "rig.toml"), "--quiet"]) == 0
+        yield made
+        made.close()
+
+
+@pytest.mark.slow
+def test_commands_of_any_user_and_environment_refuse_and_stop_each_other(users, open_rig, capsys):
+    """Of each round other users and environments drive, want to drive too, and stop."""
+    path = str(open_rig.folder / "rig.toml")
+
+    def rig(user, starter, *words):
+        before, interpreter = users[user]
+        return subprocess.Popen(
+            [*before, interpreter, "-c", RIG, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=STARTED_BY[starter] | packages(),
+            cwd="/",
+        )
+
+    roles = [
+        [*zip(who, how)]
+        for how in itertools.product(STARTED_BY, repeat=3)
+        for who in itertools.product(users, repeat=3)
+    ]
+    for k in range(ROUNDS):
+        driving, second, stopping = roles[7 * k % len(roles)]
+        count = len(open_rig.commanded_goals())
+        first = rig(*driving, "jog", path, "--by", ("20", "-20")[k % 2], "--speed", "0.0001")
+        while first.poll() is None and len(open_rig.commanded_goals()) == count:
+            time.sleep(0.01)
+        refused = rig(*second, "jog", path, "--by", "1")
+        assert f"process {first.pid}" in (said := refused.communicate()[0]) and "is driving" in said, said
+        assert refused.returncode == 1
+        stop = rig(*stopping, "stop", path)
+        assert f"process {first.pid}, which drove them, was stopped" in (said := stop.communicate()[0]), said
+        assert stop.returncode == 0 and "ended by signal" in first.communicate()[0]
+        assert first.returncode == 128 + signal.SIGTERM and len(open_rig.commanded_goals()) == count + 1
+    with capsys.disabled():
+        print(f"\n{ROUNDS} rounds of users {', '.join(users)}, {len(roles)} ways to share them out")
