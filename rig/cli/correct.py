@@ -224,7 +224,7 @@ def _start(text: str, axis_units: tuple[str, ...], units: LengthAndAngleUnits) -
         return None
     try:
         words = text.split(",")
-        scales = [1 / units.per_si(unit) for unit in axis_units]
+        scales = [units.per_si(unit) for unit in axis_units]
         if len(words) != len(axis_units):
             return np.array(parse_numbers(words))
         return np.array([parse_quantity(*each) for each in zip(words, axis_units, scales)])

@@ -112,7 +112,7 @@ def _lengths(text: str, count: int) -> Floats:
     import numpy as np
 
     try:
-        values = np.array([parse_quantity(word, "m", 1e-3) for word in text.split(",")])
+        values = np.array([parse_quantity(word, "m", 1e3) for word in text.split(",")])
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():

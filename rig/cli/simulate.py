@@ -56,7 +56,7 @@ def arguments(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
-        help="unmodelled effect, as backlash:strut3:gap=80um; a plain number is in the SI unit; may be repeated",
+        help="unmodelled effect, as NAME:strut3:gap=80um; a plain number is in the SI unit; may be repeated",
     )
     input_options.add_user_effect_files_option(parser)
     parser.add_argument(

@@ -67,29 +67,29 @@ def parse_numbers(texts: Iterable[str]) -> list[float]:
 
 
 SUFFIXES = {
-    "m": {"um": 1e-6, "mm": 1e-3, "m": 1.0},
-    "rad": {"urad": 1e-6, "arcsec": math.pi / 648000, "mrad": 1e-3, "rad": 1.0},
-    "m/s": {"um/s": 1e-6, "mm/s": 1e-3, "m/s": 1.0},
-}  # {SI unit: {unit after a number: what it is in the SI unit}}
+    "m": {"um": 1e6, "mm": 1e3, "m": 1.0},
+    "rad": {"urad": 1e6, "arcsec": 648000 / math.pi, "mrad": 1e3, "rad": 1.0},
+    "m/s": {"um/s": 1e6, "mm/s": 1e3, "m/s": 1.0},
+}  # {SI unit: {unit after a number: how many make an SI unit}}; to divide by them rounds once
 _QUANTITY = re.compile(r"(.*?[0-9.])([a-zµμ]+(?:/s)?)?")
 
 
 def parse_quantity(text: str, unit: str, plain: float = 1.0) -> float:
     """Parse a finite number, with a unit of SUFFIXES after it or without, in an SI unit.
 
-    plain : what a number without a unit is multiplied by
+    plain : how many of the unit of a number without one make an SI unit
     Raises ValueError for anything else
 
-    >>> parse_quantity("-0.5mm", "m"), parse_quantity("3", "m/s", 1e-3), parse_quantity("3mm/s", "m/s")
+    >>> parse_quantity("-0.5mm", "m"), parse_quantity("3", "m/s", 1e3), parse_quantity("3mm/s", "m/s")
     (-0.0005, 0.003, 0.003)
     """
     found = _QUANTITY.fullmatch(text)
     if found is None or found[2] is None:
-        return parse_number(text) * plain
+        return parse_number(text) / plain
     scale = SUFFIXES.get(unit, {}).get(found[2].replace("µ", "u").replace("μ", "u"))
     if scale is None:
         raise ValueError(f"no unit of {unit}: {found[2][:LONGEST_NUMBER]!r}")
-    return parse_number(found[1]) * scale
+    return parse_number(found[1]) / scale
 
 
 MOST = 7  # digits by which two values may be told apart

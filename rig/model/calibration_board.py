@@ -142,7 +142,7 @@ def parse_board(text: str, units: LengthAndAngleUnits = SI) -> Board:
 def _length(text: str, name: str, part: str, units: LengthAndAngleUnits) -> float:
     """A length of a description, in m."""
     try:
-        length = parse_quantity(part, "m", 1 / units.per_si("m"))
+        length = parse_quantity(part, "m", units.per_si("m"))
     except ValueError:
         raise RigError(
             f"board {text!r}: {name} {part!r} is not a length, a number with its unit or in {units.length}"

@@ -164,7 +164,7 @@ def parse_tolerance(text: str) -> tuple[str, float]:
         units = ", ".join(TOLERANCE_UNITS)
         raise ArgumentTypeError(f"{text!r} is not a tolerance; write a number > 0 and {units}, as in 20um")
     kind, scale = TOLERANCE_UNITS[found[2]]
-    return kind, float(found[1]) * scale
+    return kind, float(found[1]) / scale
 
 
 def parse_length_and_angle(texts: Sequence[str], option: str = "--tolerance") -> tuple[float, float]:
