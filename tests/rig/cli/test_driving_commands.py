@@ -161,7 +161,7 @@ def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig
 def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, tmp_path):
     out = str(tmp_path / "rec")
     text = printed("run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
-    assert "7 steps, 3 frames of 1 cameras" in text and "nothing was moved" in text and not (tmp_path / "rec").exists()
+    assert "7 steps, 3 frames of 1 camera," in text and "nothing was moved" in text and not (tmp_path / "rec").exists()
     printed("run", rig, "--plan", "sobol:3", "--out", out, "--settle", "time:0", "--exposure", "keep", "--no-measure")
     assert "already exists; --resume continues" in printed("run", rig, "--plan", "sobol:3", "--out", out, ok=False)
     assert "another plan" in printed("run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
