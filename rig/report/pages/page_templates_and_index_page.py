@@ -1,6 +1,6 @@
 """Page templates, and the index page.
 
-Pages are HTML files; the index lists all pages of a folder with their verdicts.
+Pages are HTML files; the index states a project's latest state, and lists all pages of its folder by stage.
 """
 
 import html
@@ -24,10 +24,13 @@ from rig.report.pages.html_and_svg_elements import (
     heading_html,
     inline_html,
     list_html,
+    note_html,
+    section_html,
     split_text_at_semicolons,
     svg_text,
     wrap_text,
 )
+from rig.report.pages.project_stages import STAGES, ProjectFile, date_text, list_project_files, stage_of_page_kind
 from rig.report.verdict_refutations_and_result_display import WORST, State, Verdict, worst_state
 
 # nothing is fetched from anywhere
@@ -136,6 +139,11 @@ def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
 NAME = "index.html"
 KIND = "index"
 DEPTH = 3  # folders down to which pages are looked for, and up to which an index is
+SINCE = {
+    "Verification": ("verified", "rig verify calibration.json REC --page verified.html"),
+    "Certificate": ("certified", "rig certify calibration.json REC --out certificate.html"),
+    "Diagnosis": ("diagnosed", "rig diagnose REC --out found"),
+}  # stage: participle, and the command that makes its page; what an index states of the latest calibration
 HEAD = 8192  # characters in which a page says what it is
 PAGE_HEAD = re.compile(
     '<meta name="generator" content="rig ([a-z]+)"><meta name="description" content="([^:"]*): '
@@ -187,23 +195,60 @@ def list_pages_below_folder(folder: Path) -> list[PageSummary]:
 
 
 def write_index_page(path: Path, folder: Path) -> None:
-    """Write the index page of all pages of a folder.
+    """Write the index page of a project: its latest state, then all pages and files of a folder, stage by stage.
 
-    path : where it is written before it moves into that folder
+    path : where it is written before it moves into that folder. Raises FileError for an invalid manifest
     """
-    known = list_pages_below_folder(folder)
-    count = {state: sum(found.state == state for found in known) for state in WORST}
-    state = worst_state([found.state for found in known])
-    why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
-    items = "".join(
-        f'<li><span class="badge {found.state}">{found.state}</span> <a '
-        f'href="{_relative_link(found.path, folder)}">{html.escape(found.title)}</a>'
-        f'<br><span class="note">{inline_html(capitalise(split_text_at_semicolons(found.why)[0]))}</span></li>'
-        for found in known
+    pages, files = list_pages_below_folder(folder), list_project_files(folder, DEPTH)
+    stages: dict[str, list[tuple[float, str]]] = {stage: [] for stage in STAGES}
+    for page in pages:
+        stages[stage_of_page_kind(page.kind)].append((page.changed, _page_html(page, folder)))
+    for file in files:
+        stages[file.stage].append((file.changed, _file_html(file, folder)))
+    verdict, parts = _latest_state(pages, folder)
+    for stage, entries in stages.items():
+        items = "".join(f"<li>{item}</li>" for _, item in sorted(entries))
+        parts += section_html(stage, [f'<ul class="pages">{items}</ul>'] if items else [])
+    steps = [] if pages else ["Begin with a recording: `rig measure REC --out measured`"]
+    write_page(path, Page(KIND, folder.resolve().name, verdict, parts, steps))
+
+
+def _latest_state(pages: Sequence[PageSummary], folder: Path) -> tuple[Verdict, list[str]]:
+    """(Verdict, HTML) of the latest calibration and what was found of it since. pages : the latest first"""
+    calibrated = next((page for page in pages if page.kind == "calibrate"), None)
+    if calibrated is None:
+        count = {state: sum(page.state == state for page in pages) for state in WORST}
+        why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
+        return Verdict(worst_state([page.state for page in pages]), why), []
+    states, lines = [calibrated.state], [f"calibrated {date_text(calibrated.changed)}: {calibrated.state}"]
+    cards = [f"{heading_html('Calibration', 3)}<p>{_page_html(calibrated, folder)}</p>"]
+    for stage, (participle, step) in SINCE.items():
+        found = next((page for page in pages if page.kind in STAGES[stage]), None)
+        if found is not None and found.changed >= calibrated.changed:
+            states.append(found.state)
+            lines.append(f"{participle} {date_text(found.changed)}: {found.state}")
+            cards.append(f"{heading_html(stage, 3)}<p>{_page_html(found, folder)}</p>")
+        else:
+            lines.append(f"not {participle} since")
+            cards.append(f"{heading_html(stage, 3)}{note_html(f'No page is newer than the calibration: `{step}`')}")
+    panels = "".join(f"<section>{card}</section>" for card in cards)
+    return Verdict(worst_state(states), "; ".join(lines)), [heading_html("Now"), f'<div class="panels">{panels}</div>']
+
+
+def _page_html(page: PageSummary, folder: Path) -> str:
+    why = inline_html(split_text_at_semicolons(page.why)[0])
+    return (
+        f'<span class="badge {page.state}">{page.state}</span> <a href="{_relative_link(page.path, folder)}">'
+        f'{html.escape(page.title)}</a><br><span class="note">{date_text(page.changed)}: {why}</span>'
     )
-    parts = [heading_html("Pages"), f'<ul class="pages">{items}</ul>'] if known else []
-    steps = [] if known else ["Begin with a recording: `rig measure REC --out measured`"]
-    write_page(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))
+
+
+def _file_html(file: ProjectFile, folder: Path) -> str:
+    name = file.path.resolve().relative_to(folder.resolve()).as_posix()
+    return (
+        f'<a href="{_relative_link(file.path, folder)}">{html.escape(name)}</a>'
+        f'<br><span class="note">{date_text(file.changed)}: {inline_html(file.text)}</span>'
+    )
 
 
 def _index_above(place: Path) -> Path | None:

@@ -3,6 +3,7 @@ dimensions.
 """
 
 import json
+import os
 import re
 
 import numpy as np
@@ -15,8 +16,16 @@ from calib.report.pose_and_effect_figures import (
 )
 from rig.cli.command_line import main
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.formats.output_files import CommandOutputs
 from rig.planning import plan
-from rig.report.pages.page_templates_and_index_page import Page, list_pages_below_folder, read_page_summary, write_page
+from rig.report.pages.page_templates_and_index_page import (
+    Page,
+    list_pages_below_folder,
+    read_page_summary,
+    write_index_page,
+    write_page,
+)
+from rig.report.pages.project_stages import date_text
 from rig.report.verdict_refutations_and_result_display import State, Verdict
 from tests.conftest import ROOT
 
@@ -35,7 +44,7 @@ def test_an_index_lists_pages_with_their_verdicts_and_is_kept_up_to_date(tmp_pat
     (tmp_path / "half.html").write_bytes(b"\xff\xfe")
     assert main(["index"]) == 0 and 'a "b" & <c>' in capsys.readouterr().out
     index = (tmp_path / "index.html").read_text()
-    assert 'href="measured/report.html"' in index and "A &quot;b&quot; &amp; &lt;c&gt;" in index and "mine" not in index
+    assert 'href="measured/report.html"' in index and "a &quot;b&quot; &amp; &lt;c&gt;" in index and "mine" not in index
     assert read_page_summary(tmp_path / "index.html").state == State.CHECK and [
         found.why for found in list_pages_below_folder(tmp_path)
     ] == ['a "b" & <c>']
@@ -47,6 +56,50 @@ def test_an_index_lists_pages_with_their_verdicts_and_is_kept_up_to_date(tmp_pat
     (tmp_path / "index.html").write_text((tmp_path / "index.html").read_text() + "<!-- a word of mine -->")
     assert main(["view", str(BENCH / "check"), "--page", "again.html"]) == 0
     assert "a word of mine" in (tmp_path / "index.html").read_text(), "what its owner changed stays"
+
+
+def test_an_index_states_the_latest_calibration_and_what_was_found_since(tmp_path):
+    def written(t, *details):
+        page(*details)
+        os.utime(details[0], (t, t))
+
+    day = 86400.0
+    written(1 * day, tmp_path / "old.html", State.BAD, "worse than nominal", "calibrate")
+    written(2 * day, tmp_path / "verified.html", State.BAD, "beyond the claim; twice", "verify")
+    written(3 * day, tmp_path / "calibration.html", State.GOOD, "0.01 mm RMS", "calibrate")
+    written(4 * day, tmp_path / "found" / "diagnosis.html", State.CHECK, "backlash at strut 3", "diagnose")
+    (tmp_path / "rig.toml").write_text("")
+    for name, command in (("rec", "simulate"), ("measured", "measure")):
+        with CommandOutputs(command) as outputs:
+            (outputs.folder(tmp_path / name) / "frames.csv").write_text("frame,t,camera,image\n")
+    with CommandOutputs("correct") as outputs:
+        outputs.file(tmp_path / "commands.csv").write_text("l1\n")
+    write_index_page(tmp_path / "index.html", tmp_path)
+    found, index = read_page_summary(tmp_path / "index.html"), (tmp_path / "index.html").read_text()
+    dates = [date_text(k * day) for k in range(5)]
+    assert found.state == State.CHECK, "what a later calibration replaced does not count"
+    assert found.why.split("; ") == [
+        f"calibrated {dates[3]}: good",
+        "not verified since",
+        "not certified since",
+        f"diagnosed {dates[4]}: check",
+    ]
+    story = index[index.index("<h2>Design") :]
+    order = [
+        "rig.toml",
+        "<h2>Recording",
+        "made by <code>rig simulate",
+        "<h2>Calibration",
+        "old.html",
+        "calibration.html",
+    ]
+    order += ["<h2>Correction", "commands.csv", "<h2>Verification", "verified.html", "<h2>Diagnosis"]
+    places = [story.index(text) for text in order]
+    assert places == sorted(places) and 'href="measured"' not in index and "<h2>Certificate" not in index
+    written(5 * day, tmp_path / "verified.html", State.BAD, "beyond the claim", "verify")
+    write_index_page(tmp_path / "index.html", tmp_path)
+    found = read_page_summary(tmp_path / "index.html")
+    assert found.state == State.BAD and f"verified {date_text(5 * day)}: bad" in found.why
 
 
 def test_an_index_is_refused_where_it_cannot_be(tmp_path, capsys):

@@ -1,0 +1,68 @@
+"""Stages of a project, from its design to its diagnosis: which pages belong to each, and which files have no page.
+
+Designs, recordings and corrected commands are files; all else is known by the page that its command writes.
+"""
+
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from rig.formats.output_files import MANIFEST
+from rig.formats.output_files.staged_folder_and_manifest import load_manifest
+
+DESIGN, RECORDING, CORRECTION, OTHERS = "Design", "Recording", "Correction", "Other pages"
+STAGES = {
+    DESIGN: ("workspace",),
+    RECORDING: ("plan", "view"),
+    "Measurement": ("lens", "measure", "insitu"),
+    "Calibration": ("calibrate", "online"),
+    CORRECTION: (),
+    "Verification": ("verify", "watch"),
+    "Certificate": ("certify",),
+    "Diagnosis": ("diagnose", "investigate"),
+    OTHERS: (),
+}  # in the order in which a project comes to them: kinds of pages
+
+RECORDED_BY = ("run", "import", "simulate", "")  # commands whose folders are recordings, and nobody's
+
+
+class ProjectFile(NamedTuple):
+    """A file or folder that has no page. stage : of STAGES; path; text : what it is; changed : s"""
+
+    stage: str
+    path: Path
+    text: str
+    changed: float
+
+
+def stage_of_page_kind(kind: str) -> str:
+    """Stage to which pages of a kind belong."""
+    return next((stage for stage, kinds in STAGES.items() if kind in kinds), OTHERS)
+
+
+def date_text(changed: float) -> str:
+    """Local date and time of a file, to the minute. changed : s since 1970"""
+    return f"{datetime.fromtimestamp(changed):%Y-%m-%d %H:%M}"
+
+
+def list_project_files(folder: Path, depth: int) -> list[ProjectFile]:
+    """List designs, recordings and corrected commands in a folder and below it.
+
+    depth : folders down to which they are looked for. Raises FileError for an invalid manifest
+    """
+    known: list[ProjectFile] = []
+    below = [path for down in range(1, depth) for path in sorted(folder.glob("*/" * down))]
+    for place in [folder, *below]:
+        tables = [path for name in ("frames.csv", "poses.csv") if (path := place / name).is_file()]
+        made = load_manifest(place) if (place / MANIFEST).is_file() else None
+        design, origin = place / "rig.toml", made.origin.command if made is not None and made.origin is not None else ""
+        if not tables and design.is_file():
+            known.append(ProjectFile(DESIGN, design, "the machine as stated", design.stat().st_mtime))
+        elif tables and origin in RECORDED_BY:
+            text = f"made by `rig {origin}`" if origin else "tables of a recording"
+            known.append(ProjectFile(RECORDING, place, text, tables[0].stat().st_mtime))
+        for name, entry in () if made is None else made.files.items():
+            if entry.command == "correct" and (place / name).is_file():
+                text, changed = "commands made by `rig correct`", (place / name).stat().st_mtime
+                known.append(ProjectFile(CORRECTION, place / name, text, changed))
+    return known
