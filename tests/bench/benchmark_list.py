@@ -5,6 +5,7 @@ from tests.bench import (
     arm_physics,
     arms,
     certificate,
+    command_times,
     corners,
     correction,
     diagnosis,
@@ -48,6 +49,7 @@ ALL = {
 }
 NAMED = {
     **ALL,
+    "quick": command_times,
     "certificate": certificate,
     "reach": edge_fit_width,
     "physics": physics,
