@@ -46,6 +46,7 @@ from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrus
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
+from rig.formats.rig_toml.design_from_rig_toml import load_entries
 from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
@@ -142,7 +143,13 @@ class PlannedRun:
             homes, status = self._home(driver, settled_status(driver, clock), before, notice)
             check_steps(self.steps, status.lengths, move_checker(self.design))
             bench = open_sensors_and_assemble_equipment(
-                self.design, driver, shutter, self.settling, clock, options.interval
+                self.design,
+                driver,
+                shutter,
+                self.settling,
+                clock,
+                options.interval,
+                load_entries(self.path).in_stated_units().units,
             )
             exposures = self._set_exposures(shutter, before, notice)
             if fresh:

@@ -193,7 +193,7 @@ class RunState:
         frames is 0 where nobody knows how many there will be; ended : why, None while it goes
     activity : "starting", "moving", "holding" (the struts are to rest) or "ended"; then : what comes next, in words
     events : the latest (s, in words); readings : {channel: value} of the sensors; shot : the latest frame, measured or
-        not, None before the first
+        not, None before the first; question : (frame, in words) that the operator is asked, None for nothing
     """
 
     phase: str
@@ -213,6 +213,7 @@ class RunState:
     events: tuple[tuple[float, str], ...] = ()
     readings: dict[str, float] = field(default_factory=dict)
     shot: RecordedFrame | None = None
+    question: tuple[int, str] | None = None
 
 
 class RunStateChanges(TypedDict, total=False):
@@ -235,6 +236,7 @@ class RunStateChanges(TypedDict, total=False):
     events: tuple[tuple[float, str], ...]
     readings: dict[str, float]
     shot: RecordedFrame | None
+    question: tuple[int, str] | None
 
 
 def journal_row_in_words(row: Row) -> str:

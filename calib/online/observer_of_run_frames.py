@@ -112,6 +112,7 @@ class RunObserver:
             None,
         )
         self._lock = threading.RLock()
+        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._queue: queue.Queue[tuple[RecordedFrame, Floats | None] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, daemon=True)
         self._worker.start()
@@ -140,7 +141,7 @@ class RunObserver:
             return  # alarms are shown as such, and the end says why
         elif isinstance(row, Ended):
             phase = "done" if not row.reason else f"ended: {row.reason}"
-            self.update(activity="ended", then="", phase=phase, ended=row.reason, left=0.0)
+            self.update(activity="ended", then="", phase=phase, ended=row.reason, left=0.0, question=None)
         elif isinstance(row, Readings):
             values = dict(zip(row.channels, row.values))
             self.update(readings=values)
@@ -177,6 +178,31 @@ class RunObserver:
         """Stop the struts now and the run with them; from any thread."""
         self._reason = self._reason or reason
         self._stopping.halt()
+
+    def ask(self, frame: int, question: str) -> None:
+        """Ask the operator something at the place of a frame."""
+        with self._lock:
+            while not self._answers.empty():
+                self._answers.get()
+            self.update(phase=question, question=(frame, question))
+
+    def answer(self, text: str, frame: int | None = None) -> bool:
+        """Take what an operator entered, from any thread; False where nothing is asked, or not at a frame."""
+        with self._lock:
+            asked = self.state.question
+            if asked is None or frame not in (None, asked[0]):
+                return False
+            self._answers.put(text)
+            return True
+
+    def answered(self, seconds: float) -> str | None:
+        """What an operator entered since it was asked, waited for so many s at most; None where that is nothing yet."""
+        try:
+            text = self._answers.get(timeout=seconds)
+        except queue.Empty:
+            return None
+        self.update(phase="settling", question=None)
+        return text
 
     def update(self, **changes: Unpack[RunStateChanges]) -> None:
         """Show what has changed of the state."""

@@ -25,14 +25,16 @@ from rig.driving.clock import Clock
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.move_profiles_and_path_check import TimedShares, trapezoidal_profile
+from rig.driving.operator_readings import ReadingForm, reading_sizes
 from rig.driving.run_steps_and_progress import Step
 from rig.driving.strut_driver import Driver
 from rig.driving.user_classes_and_sensor_reader import open_sensors
 from rig.errors import RigError
+from rig.formats.numbers_and_units import SI, LengthAndAngleUnits
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod, require_struts
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.corners.marker_detection_and_corner_fit import detect_markers
@@ -50,8 +52,8 @@ SHARED_DRAWS = 42  # draws that all poses by limbs have in common: their geometr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunOptions:
-    """seed : of the plan; settle : "time:SECONDS", "images" or "limbs:LENGTH"; exposure : s of all cameras, "keep" as
-    they are, None so that markers are bright and do not clip
+    """seed : of the plan; settle : "time:SECONDS", "images", "limbs:LENGTH" or "ask"; exposure : s of all cameras,
+    "keep" as they are, None so that markers are bright and do not clip
     calibration : what poses are expected by, or None; calibration_name : of its file, for messages; tolerance : (m,
     rad) of drift from it that is an alarm, or None; stop_on : kinds of ALARMS that end the run
     measure : whether frames are measured; limbs : measuring limbs in place of vision, or None; trust_position : whether
@@ -111,6 +113,8 @@ class RunOptions:
         """
         if not self.uses_cameras(design) and (self.limbs is not None or self.settle == "images"):
             raise RigError("without cameras there is neither --settle images nor --limbs, which vision must check")
+        if self.settle == "ask" and self.uses_cameras(design):
+            raise RigError("--settle ask is for an operator's instrument in place of cameras: add --no-cameras")
         if self.in_motion is not None:
             self._refuse_unsuited_in_motion(design)
         calibration = self.calibration
@@ -209,8 +213,10 @@ def open_sensors_and_assemble_equipment(
     settling: Settling,
     clock: Clock,
     interval: float,
+    units: LengthAndAngleUnits = SI,
 ) -> RunEquipment:
-    """Open the RunEquipment of a run, with its sensors if any. interval : s, as of RunOptions
+    """Open the RunEquipment of a run, with its sensors if any. interval : s, as of RunOptions; units : of its rig.toml,
+    in which an operator who is asked enters readings
 
     Raises RigError for settling by limbs that nobody reads.
     """
@@ -229,6 +235,9 @@ def open_sensors_and_assemble_equipment(
         sensing.read if sensing else None,
         sensing.limbs if sensing else None,
         interval,
+        ReadingForm(require_struts(design.mechanism), units, reading_sizes(design.instrument))
+        if settling.by == "ask"
+        else None,
     )
 
 

@@ -62,7 +62,7 @@ class RunPage:
 
     def __init__(self, looking: RunObserver, port: int) -> None:
         self._design = looking.design
-        self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port)
+        self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port, looking.answer)
         self.url = self._server.url
         self._history: list[Json] = []
         self._shown: MeasuredFrame | None = None
@@ -118,6 +118,7 @@ class RunPage:
             "ended": state.ended,
             "struts": struts,
             "history": history,
+            "question": None if state.question is None else dict(zip(("frame", "text"), state.question)),
             "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in state.alarms],
             "seen": None if state.seen is None else _seen(state.seen, self._design, self._markers),
             "rig": _rig(self._design, self._fixed, self._markers, T),

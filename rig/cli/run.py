@@ -48,8 +48,9 @@ def arguments(parser: ArgumentParser) -> None:
         "--settle",
         default="time:1",
         metavar="HOW",
-        help="time:SECONDS, images (until they no longer change) or limbs:20um "
-        "(until measuring limbs agree to this; a plain number is in m); default time:1",
+        help="time:SECONDS, images (until they no longer change), limbs:20um "
+        "(until measuring limbs agree to this; a plain number is in m) or, without cameras, ask (until the operator at "
+        "the terminal or on the page has measured); default time:1",
     )
     parser.add_argument(
         "--in-motion",
@@ -84,7 +85,8 @@ def arguments(parser: ArgumentParser) -> None:
         "--no-cameras",
         action="store_true",
         help="take no images: places are visited for another instrument, and visits.csv says when the struts stood "
-        "where; as by itself where rig.toml has no camera. --settle time:SECONDS leaves it its time",
+        "where; as by itself where rig.toml has no camera. --settle time:SECONDS leaves it its time, --settle ask "
+        "waits for an operator and records readings",
     )
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     add_limb_options(parser)
@@ -113,12 +115,19 @@ def run(arguments: Namespace) -> None:
         for line in planned.compare_with_controller():
             print(line)
         return
-    from rig.cli.shared.run_display_and_controller_status import run_displays
+    from rig.cli.shared.run_display_and_controller_status import run_displays, terminal_can_answer
 
-    out = arguments.out
-    frames = planned.carry_out(out, partial(run_displays, arguments.page), print)
+    out, asked = arguments.out, arguments.settle == "ask"
+    if asked and arguments.page is None and not terminal_can_answer():
+        raise RigError("--settle ask takes somebody who answers: a terminal in the foreground, or --page")
+    frames = planned.carry_out(out, partial(run_displays, arguments.page, asked), print)
     if planned.options.uses_cameras(design):
         print(f"{count_text(frames, 'frame')} in {out}; rig measure {out} --out DIR measures them all jointly")
+    elif (out / "poses.csv").exists():
+        print(
+            f"{count_text(frames, 'visit')} in {out / 'visits.csv'}, readings in {out / 'poses.csv'}; state [instrument] in "
+            f"{out / 'rig.toml'}"
+        )
     else:
         print(
             f"{frames} visits in {out / 'visits.csv'}; join an instrument's poses to them by frame, as "

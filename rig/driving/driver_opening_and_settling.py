@@ -1,7 +1,7 @@
 """Driver opening for a design, and settling before an exposure.
 
 A driver is locked against other processes; status is settled once no axis moves. The platform settles for a time,
-until images stop changing, or until limb readings agree.
+until images stop changing, until limb readings agree, or until an operator has measured it.
 """
 
 from collections.abc import Callable, Iterator
@@ -131,21 +131,28 @@ class NotSettled(RigError):
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """by : "time", "images" or "limbs"; amount : s to wait, or m that the limbs' readings may differ; unused for
-    images.
+    """by : "time", "images", "limbs" or "ask"; amount : s to wait, or m that the limbs' readings may differ; unused for
+    images and for an operator who is asked.
     """
 
     by: str
     amount: float
 
     def wait(
-        self, clock: Clock, images: Callable[[], list[Pixels]] | None = None, limbs: Callable[[], Floats] | None = None
-    ) -> None:
-        """Return once the platform rests. images : one of each camera; limbs : (6,) m readings; whichever `by` asks
-        for.
+        self,
+        clock: Clock,
+        images: Callable[[], list[Pixels]] | None = None,
+        limbs: Callable[[], Floats] | None = None,
+        ask: Callable[[], tuple[float, ...]] | None = None,
+    ) -> tuple[float, ...]:
+        """Return once the platform rests. images : one of each camera; limbs : (6,) m readings; ask : an operator's
+        reading of the place, once there is one; whichever `by` asks for.
 
+        Returns the reading, () where there is none
         Raises NotSettled after MOST seconds, ValueError where what it goes by is not given.
         """
+        if self.by == "ask" and ask is not None:
+            return ask()
         if self.by == "time":
             clock.sleep(self.amount)
         elif self.by == "images" and images is not None:
@@ -154,12 +161,13 @@ class Settling:
             _by_limbs(clock, limbs, self.amount)
         else:
             raise ValueError(f"settling by {self.by} takes {self.by} to look at")
+        return ()
 
 
 def parse_settling(text: str) -> Settling:
     """Settling parsed from text.
 
-    "time:SECONDS", "images" or "limbs:LENGTH", as limbs:20um; a length without a unit is in m.
+    "time:SECONDS", "images", "ask" or "limbs:LENGTH", as limbs:20um; a length without a unit is in m.
     Raises RigError for anything else.
     """
     by, _, amount = text.partition(":")
@@ -167,8 +175,9 @@ def parse_settling(text: str) -> Settling:
         value = parse_quantity(amount, "m" if by == "limbs" else "s") if amount else 0.0
     except ValueError:
         value = -1.0
-    if by not in ("time", "images", "limbs") or not 0 <= value < np.inf or (by == "images") == bool(amount):
-        raise RigError(f'settling takes "time:SECONDS", "images" or "limbs:LENGTH", as limbs:20um, got {text!r}')
+    bare = by in ("images", "ask")
+    if by not in ("time", "images", "limbs", "ask") or not 0 <= value < np.inf or bare == bool(amount):
+        raise RigError(f'settling takes "time:SECONDS", "images", "ask" or "limbs:LENGTH", as limbs:20um, got {text!r}')
     return Settling(by, value)
 
 

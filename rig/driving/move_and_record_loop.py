@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -19,6 +20,7 @@ from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.exposures_in_motion import FramesDuringMove, journal_row_of_position_reports, lengths_reported_at
 from rig.driving.move_profiles_and_path_check import TimedShares, move_profile_fitted_to_reports
+from rig.driving.operator_readings import ReadingForm
 from rig.driving.recording_from_run_journal import GrowingRecording
 from rig.driving.run_journal import (
     Arrival,
@@ -41,6 +43,8 @@ from rig.driving.run_steps_and_progress import (
 )
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.atomic_files_and_locks import sync_folder
+
+ANSWERED = 0.1  # s between looks whether an operator who is asked has stopped the run
 
 
 class Machine(Protocol):
@@ -92,13 +96,20 @@ class RunWatcher(Protocol):
     def stop(self) -> str:
         """Why the run should stop, "" while it should not."""
 
+    def ask(self, frame: int, question: str) -> None:
+        """Show the operator what is asked at the place of a frame; what was entered before answers nothing."""
+
+    def answered(self, seconds: float) -> str | None:
+        """What the operator entered since, waited for so many s at most; None where that is nothing yet."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunEquipment:
     """What a run works with. tolerance : m, of a read-back; time_profile : (start, goal (axes,) m, from, until s) ->
     share of the way through time
     readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an
-        image on disk; interval : s from one exposure in motion to the next, at least"""
+        image on disk; interval : s from one exposure in motion to the next, at least; form : of an operator's readings,
+        None where none is asked"""
 
     machine: Machine
     shutter: SynchronisedCameras | None
@@ -110,6 +121,7 @@ class RunEquipment:
     readings: Callable[[], dict[str, float]] | None = None
     limbs: Callable[[], Floats] | None = None
     interval: float = 0.25
+    form: ReadingForm | None = None
 
 
 class RunOperator:
@@ -127,7 +139,7 @@ class RunOperator:
         self.bench, self.planned, self.watcher = bench, planned, watcher
         self._journal, self._origin, self._folder = journal, origin, journal.path.parent
         in_motion = any(step.speed is not None for step in planned)
-        self._growing = GrowingRecording(self._folder, axes, journal.rows, in_motion)
+        self._growing = GrowingRecording(self._folder, axes, journal.rows, in_motion, bench.form is not None)
         self._writing = threading.RLock()
         self._stamps = StampDifferences()
 
@@ -204,8 +216,8 @@ class RunOperator:
         number = state.number
         for k in range(state.frames, step.frames):
             self._wanted()
-            self._settle()
-            self._expose(state.step, number + k - state.frames)
+            frame = number + k - state.frames
+            self._expose(state.step, frame, self._settle(frame, step.goal))
 
     def _wanted(self) -> None:
         reason = self.watcher.stop()
@@ -276,10 +288,26 @@ class RunOperator:
         if reports:
             self.write(journal_row_of_position_reports(self.now(), reports, self._origin))
 
-    def _settle(self) -> None:
+    def _settle(self, number: int, goal: Floats) -> tuple[float, ...]:
+        """Wait until the platform rests; returns an operator's reading (m, rad) of the place, () where there is none"""
         bench, shutter = self.bench, self.bench.shutter
         images = (lambda: [frame.image for frame in shutter.grab().values()]) if shutter else None
-        bench.settling.wait(bench.clock, images, bench.limbs)
+        ask = None if bench.form is None else partial(self._ask, number, goal, bench.form)
+        return bench.settling.wait(bench.clock, images, bench.limbs, ask)
+
+    def _ask(self, number: int, goal: Floats, form: ReadingForm) -> tuple[float, ...]:
+        """An operator's reading of a place, as long as that takes. Raises Stopped as soon as the run is to stop."""
+        so_far = {len(row.reading) for row in self._journal.rows if isinstance(row, Exposed) and row.reading}
+        sizes = tuple(so_far) or form.sizes  # poses.csv has one kind of row
+        question = form.question(number, goal, sizes)
+        self.watcher.ask(number, question)
+        while True:
+            while (text := self.watcher.answered(ANSWERED)) is None:
+                self._wanted()
+            try:
+                return form.reading(text, sizes)
+            except RigError as error:
+                self.watcher.ask(number, f"{error}. {question}")
 
     def _look(self) -> None:
         """Sensors' readings written down; before and after an exposure, so that their log covers it."""
@@ -287,9 +315,10 @@ class RunOperator:
             values = self.bench.readings()
             self.write(Readings(self.now(), tuple(values), tuple(values.values())))
 
-    def _expose(self, index: int, number: int) -> None:
-        """Grab a frame, put its images on disk, and then write that it is there. Raises MotionError for one during
-        which the axes did not rest at the goal: it is not kept.
+    def _expose(self, index: int, number: int, reading: tuple[float, ...] = ()) -> None:
+        """Grab a frame, put its images on disk, and then write that it is there, with an operator's reading (m, rad).
+
+        Raises MotionError for one during which the axes did not rest at the goal: it is not kept.
         """
         bench, goal = self.bench, self.planned[index].goal
         at = self._rest_position(number, goal, goal, "before")
@@ -309,6 +338,7 @@ class RunOperator:
                 tuple(frames),
                 names,
                 tuple(at.tolist()),
+                reading=reading,
             )
         )
         self.watcher.seen(RecordedFrame(number, index, t, goal, frames))

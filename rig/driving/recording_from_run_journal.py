@@ -34,32 +34,40 @@ from rig.driving.run_journal import (
     Row,
 )
 from rig.errors import RigError
-from rig.formats.local_and_remote_input_files import BINARY
+from rig.formats.local_and_remote_input_files import BINARY, read_bytes
 from rig.formats.output_files import write_text
 from rig.formats.output_files.atomic_files_and_locks import sync_folder
+from rig.recording.recording_tables import POSE_COLUMNS
 
+READINGS = "poses.csv"  # of an operator
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 
 
 class GrowingRecording:
     """The files of a recording, kept up with its journal."""
 
-    def __init__(self, folder: Path, axes: tuple[str, ...], rows: list[Row], in_motion: bool = False) -> None:
+    def __init__(
+        self, folder: Path, axes: tuple[str, ...], rows: list[Row], in_motion: bool = False, asked: bool = False
+    ) -> None:
         """Write the files anew from the journal's rows so far. axes : names of commands.csv's columns; in_motion :
-        whether cameras expose during moves
+        whether cameras expose during moves; asked : whether an operator's readings become poses.csv
+
+        Raises RigError for a poses.csv that somebody else wrote where readings would be
         """
         self.folder, self._axes, self._in_motion = Path(folder), axes, in_motion
         self._last_t = -np.inf
         self._at: tuple[float, ...] = ()  # before the first row: a journal begins with where the axes stand
         self._channels: tuple[str, ...] | None = None
         self._reported: list[tuple[float, Lengths]] = []  # (s, m) during the move under way
-        self._reports_begun = False
+        self._reports_begun = self._readings_begun = False
         self._frames_in_motion: list[tuple[str, str]] = []  # (file, text) of those of the move under way
         self._arrived, self._wall = 0.0, 0.0  # s, on the run's clock; s since 1970 at its t = 0
         texts = {"commands.csv": ",".join(("t", *axes)) + "\n", "frames.csv": "frame,t,camera,image\n"}
         for row in rows:
             for name, line in self._lines(row):
                 texts[name] = texts.get(name, "") + line
+        if asked or READINGS in texts:
+            self._require_own_readings(texts.get(READINGS, ""))
         for name, text in texts.items():
             write_text(self.folder / name, text)
         sync_folder(self.folder)
@@ -163,7 +171,24 @@ class GrowingRecording:
         lines.append(
             ("visits.csv", ",".join((str(row.frame), f"{self._arrived:.6f}", f"{row.t:.6f}", *utc, *cells)) + "\n")
         )
-        return [*self._command(row.t, self._at), *lines]
+        return [*self._command(row.t, self._at), *lines, *self._reading(row)]
+
+    def _reading(self, row: Exposed) -> list[tuple[str, str]]:
+        """An operator's reading of a place as a row of poses.csv."""
+        if not row.reading:
+            return []
+        head = "" if self._readings_begun else ",".join(("frame", *POSE_COLUMNS[: len(row.reading)])) + "\n"
+        self._readings_begun = True
+        return [(READINGS, head + ",".join((str(row.frame), *(f"{value:.10f}" for value in row.reading))) + "\n")]
+
+    def _require_own_readings(self, text: str) -> None:
+        """Raise RigError where poses.csv is there and is not what the journal's readings make, or its beginning."""
+        path = self.folder / READINGS
+        if path.exists() and not text.encode().startswith(read_bytes(path)):
+            raise RigError(
+                f"{path} is not what the journal's readings make: somebody wrote into it; move it elsewhere, resume, "
+                "and join its rows once the run is over"
+            )
 
     def _command(self, t: float, values: Iterable[float]) -> list[tuple[str, str]]:
         t = max(t, self._last_t + APART)

@@ -75,7 +75,8 @@ class Exposed:
     """A frame, whose images are on disk; a visit that other instruments measure where there are no cameras.
 
     t : s, middle of the exposure; sigma : s, of each camera's; images : in the folder; position : m, read back, empty
-    in journals of before it was, and in motion; times : s, middle of each camera's exposure in motion, empty at rest
+    in journals of before it was, and in motion; times : s, middle of each camera's exposure in motion, empty at rest;
+    reading : of an operator, x y z and rx ry rz or not (m, rad), empty for none
     """
 
     kind: ClassVar[str] = "exposed"
@@ -87,6 +88,7 @@ class Exposed:
     images: tuple[str, ...]
     position: Lengths = ()
     times: tuple[float, ...] = ()
+    reading: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """What `rig check` says of set-ups with nothing wrong: cameras roughly stated, lenses missing, few frames, noise.
 
-python -m tests.bench accusations        100 set-ups, some seconds each
+python -m tests.bench accusations        100 set-ups and 100 designs of `rig new design`, some seconds each
 """
 
 import re
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.api.recording_check_combination_and_view import check
 from rig.checks import Mistake
 from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
 from rig.formats.rig_toml import design_from_rig_toml
@@ -21,12 +22,16 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
 from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic.api import SimulateOptions, simulate
 from synthetic.recording_simulation import PictureWriter
 from vision.checks import find_corner_mistakes
 
 SETUPS = 100
 MOVED = (0.2, np.radians(10.0))  # m, rad by which cameras may stand from where they are stated
 SIZES = ((800, 600), (1280, 1024), (1920, 1200))
+DESIGN_SIZES = ((640, 480), *SIZES)
+DESIGNS = 100
+FIRST_DESIGN = 9000  # seeds that no mending of a check was tried on
 ROUGH = re.compile(
     r"rig.toml: (camera \w+: it stands |the lens is not as stated)"
 )  # what is true of such cameras, and spoils nothing
@@ -83,6 +88,27 @@ def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
         words,
         (*mistakes_found_without_looking_at_images(read), *find_corner_mistakes(read, read.corners, thorough=True)),
     )
+
+
+def design_setup(seed: int, folder: Path) -> Setup:
+    """The Setup of a seed that is a design as `rig new design` writes it and its own recording, as `rig simulate` does.
+
+    Cameras, cubes, sizes and few frames are drawn; what `rig check` says of it is found.
+    """
+    rng = np.random.default_rng((29, seed))
+    width, height = DESIGN_SIZES[rng.integers(len(DESIGN_SIZES))]
+    cameras, cubes, frames = (int(n) for n in rng.integers((1, 1, 3), (6, 6, 21)))
+    radius = round(float(np.exp(rng.uniform(np.log(0.05), np.log(1.5)))), 3)
+    folder.mkdir(parents=True, exist_ok=True)
+    rig = folder / "rig.toml"
+    rig.write_text(
+        hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
+            radius, cameras=cameras, width=width, height=height, cubes=cubes
+        )
+    )
+    simulate(rig, SimulateOptions(f"sobol:{frames}", seed=seed)).write(folder / "rec")
+    words = f"seed {seed}: radius {radius:g} m, {cameras} cameras {width}x{height}, {cubes} cubes, {frames} frames"
+    return Setup(words, check(folder / "rec").found)
 
 
 def _real(camera: Camera, rng: np.random.Generator, lensless: bool, size: float) -> Camera:

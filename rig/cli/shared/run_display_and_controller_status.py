@@ -1,6 +1,8 @@
 """Terminal display of a run, and the printed status of a controller."""
 
+import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
@@ -154,23 +156,52 @@ def _minutes_and_seconds(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def terminal_display() -> PlainLineDisplay | TerminalBlockDisplay:
+def terminal_display(asked: bool = False) -> PlainLineDisplay | TerminalBlockDisplay:
     """Display for the terminal.
 
-    A block redrawn in place, or plain lines where standard output is a pipe.
+    A block redrawn in place, or plain lines where standard output is a pipe, and where an operator types between them:
+    asked.
     """
-    return TerminalBlockDisplay() if sys.stdout.isatty() else PlainLineDisplay()
+    return TerminalBlockDisplay() if sys.stdout.isatty() and not asked else PlainLineDisplay()
+
+
+def terminal_can_answer() -> bool:
+    """Whether somebody at a terminal can answer: a process in the background that reads from it is suspended."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    return not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+
+
+def _take_answers(observer: RunObserver, alone: bool) -> None:
+    """Hand lines that are typed at the terminal to an observer, until it ends. alone : whether nobody else answers
+
+    Not by sys.stdin, whose lock a thread that waits for a line would hold at the end of the process.
+    """
+    while True:
+        try:
+            line = os.read(sys.stdin.fileno(), 4096)
+        except OSError:  # the terminal is gone
+            line = b""
+        if not line:
+            if alone:
+                observer.ask_stop("nobody is left to answer: the terminal's input ended")
+            return
+        if not observer.answer(line.decode(errors="replace").strip()):
+            print("not taken: nothing is asked now", flush=True)
 
 
 @contextmanager
-def run_displays(port: int | None, observer: RunObserver) -> Iterator[list[RunDisplay]]:
+def run_displays(port: int | None, asked: bool, observer: RunObserver) -> Iterator[list[RunDisplay]]:
     """Displays of a run (context manager).
 
-    Terminal, and the page where a port is given, served while the context lasts.
+    Terminal, and the page where a port is given, served while the context lasts. asked : whether an operator at them
+    is asked
     """
+    if asked and terminal_can_answer():
+        threading.Thread(target=_take_answers, args=(observer, port is None), daemon=True).start()
     if port is None:
-        yield [terminal_display()]
+        yield [terminal_display(asked)]
         return
     with RunPage(observer, port) as page:
         print(f"the run's page, for this computer only: {page.url}", flush=True)
-        yield [terminal_display(), page]
+        yield [terminal_display(asked), page]

@@ -43,6 +43,7 @@ function show(run) {
   judge(run);
   act(run.activity);
   at("then").textContent = run.then ? `next: ${run.then}` : "";
+  showQuestion(run.question);
   showLog(run.events);
   showReadings(run.readings);
   at("phase").textContent = run.phase;
@@ -69,6 +70,26 @@ function show(run) {
 function taken(run) {
   return run.frames ? `frame ${run.frame} of ${run.frames}` : `${run.frame} frames in motion`;
 }
+
+let asked = null; // the frame at which the operator is asked
+
+function showQuestion(question) {
+  at("ask").hidden = !question;
+  asked = question ? question.frame : null;
+  if (question) at("asked").textContent = question.text;
+}
+
+at("ask").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const entered = new URLSearchParams({ token, frame: asked, reading: at("reading").value });
+  try {
+    const answer = await fetch(`/answer?${entered}`, { method: "POST" });
+    if (!answer.ok) throw new Error(await answer.text());
+    at("reading").value = "";
+  } catch (error) {
+    at("asked").textContent = `not taken: ${error.message}`;
+  }
+});
 
 function showLog(events) {
   at("log").replaceChildren(...events.slice().reverse().map((one) => element("li", {}, element("time", { textContent: minutes(one.t) }), ` ${one.text}`)));
@@ -164,6 +185,7 @@ function chart(points, key, name, digits) {
 
 function end(why) {
   over = true;
+  showQuestion(null);
   at("stop").disabled = true;
   at("stop").textContent = why;
 }
@@ -184,6 +206,7 @@ at("stop").addEventListener("click", async () => {
 // Nothing that a run said before it died still holds: not its state, nor the time left, nor that a button can stop it.
 function bury() {
   dead = true;
+  showQuestion(null);
   act("dead");
   at("then").textContent = "";
   at("state").textContent = "dead";

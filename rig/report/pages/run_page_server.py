@@ -52,13 +52,15 @@ HEADERS_WITHIN = 3.0  # s that a connection has to send its first request
 
 
 class PageServer:
-    """Serves a run's page until closed. stop : what the button does; port : 0 for any that is free. url : with the
-    token.
+    """Serves a run's page until closed. stop : what the button does; port : 0 for any that is free; answer : takes what
+    an operator entered, and at which frame, and returns whether that was asked. url : with the token.
     """
 
-    def __init__(self, stop: Callable[[], None], port: int = 0) -> None:
+    def __init__(
+        self, stop: Callable[[], None], port: int = 0, answer: Callable[[str, int], bool] = lambda text, frame: False
+    ) -> None:
         self.token = secrets.token_urlsafe(24)
-        self._stop = stop
+        self._stop, self.answer = stop, answer
         self._draw: Callable[[], Json] = dict
         self._images: dict[str, Callable[[], bytes]] = {}
         self._changed, self._number, self._open, self._lines = threading.Condition(), 0, True, 0
@@ -234,7 +236,15 @@ class _Handler(BaseHTTPRequestHandler):
         request = self._allowed(post=True)
         if request is None:
             return
-        if request[0] != "/stop":
+        path, query = request
+        if path == "/answer":
+            frame = query.get("frame", [""])[0]
+            if not (frame.isdecimal() and self.server.page.answer(query.get("reading", [""])[0], int(frame))):
+                self._refuse(HTTPStatus.CONFLICT, "that is not asked now")
+                return
+            self._reply(HTTPStatus.OK, b'{"taken": true}', "application/json")
+            return
+        if path != "/stop":
             self._refuse(HTTPStatus.NOT_FOUND, "no such button")
             return
         self.server.page.pressed()

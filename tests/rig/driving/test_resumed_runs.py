@@ -33,8 +33,8 @@ def interrupted(rig, out, **options):
 
     expose = move_and_record_loop.RunOperator._expose
 
-    def stop(self, index, number):
-        expose(self, index, number)
+    def stop(self, index, number, reading):
+        expose(self, index, number, reading)
         raise Stopped("enough")
 
     with pytest.MonkeyPatch.context() as patched:
@@ -169,6 +169,8 @@ def test_a_run_without_cameras_leaves_visits_that_an_instruments_poses_are_joine
 
 
 def test_what_takes_cameras_is_refused_without_them(made, tmp_path):
+    with pytest.raises(RigError, match="in place of cameras: add --no-cameras"):
+        made.run(tmp_path / "rec", settle="ask")
     with pytest.raises(RigError, match="without cameras there is neither --settle images"):
         made.run(tmp_path / "rec", cameras=False, settle="images")
 

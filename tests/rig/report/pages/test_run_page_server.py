@@ -32,6 +32,7 @@ EVENT = {
     "left": 75.0,
     "ended": None,
     "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5, "room": 50.0}] * 6,
+    "question": {"frame": 2, "text": "frame 2 stands at 0 0 450 mm; press Enter once it is measured"},
     "alarms": [{"kind": "camera", "text": "camera 'cam0' <b>moved</b>"}],
     "history": [
         {"frame": 0, "rms": 0.02, "error": None, "innovation": None},
