@@ -237,6 +237,6 @@ events.onmessage = (message) => {
   show(run);
 };
 events.addEventListener("alive", alive);
-setInterval(() => { if (!over && !dead && performance.now() - heard > SILENT) bury(); }, 250);
+setInterval(() => { if (!over && !dead && performance.now() - heard > SILENT) bury(); }, 100);
 events.addEventListener("end", () => { events.close(); if (!over) end("over"); });
 events.onerror = () => { if (!over && !dead) at("phase").textContent = "the run cannot be reached; trying again"; };
