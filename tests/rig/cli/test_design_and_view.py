@@ -45,6 +45,20 @@ def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
     assert np.abs(errors[:, :3]).max() < 1e-3
 
 
+@pytest.mark.parametrize("units", [(), ("--units", "mm,deg")], ids=["m", "mm"])
+def test_a_new_design_names_what_drives_it(tmp_path, units):
+    rig = tmp_path / "rig.toml"
+    run("new", "design", "--radius", "0.25", *units, "--out", rig)
+    text = rig.read_text()
+    controller = design_from_rig_toml.load_design(rig).driver()
+    assert (controller.protocol, controller.port, controller.homing) == ("grblhal", "", True)
+    np.testing.assert_allclose(controller.zero, np.zeros(6), atol=0)
+    np.testing.assert_allclose(controller.tolerance, 1e-5, rtol=1e-12)
+    assert (controller.max_speed > 0).all()
+    rig.write_text(text.replace('# port = "/dev/ttyACM0"', 'port = "/dev/ttyACM0"'))  # as its owner completes it
+    assert design_from_rig_toml.load_design(rig).driver().port == "/dev/ttyACM0"
+
+
 @pytest.mark.parametrize(
     "extra, says",
     [

@@ -20,8 +20,8 @@ REPEATS = 3  # of which the best counts: what else the machine does is not the p
 
 # when the page first shows that the run is dead, s since 1970
 WATCH = """() => { globalThis.died = 0; const state = document.getElementById("state");
-  new MutationObserver(() => { if (!globalThis.died && state.textContent === "dead") globalThis.died = Date.now() / 1e3; })
-    .observe(state, { childList: true, characterData: true, subtree: true }); }"""
+  const look = () => { if (!globalThis.died && state.textContent === "dead") globalThis.died = Date.now() / 1e3; };
+  new MutationObserver(look).observe(state, { childList: true, characterData: true, subtree: true }); }"""
 
 
 @pytest.fixture(scope="module")
