@@ -322,13 +322,19 @@ def unsolved_frames_with_enough_markers(measured: Measurement) -> list[int]:
 
     Two or more of all that is needed.
     """
-    o = measured.observations
+    enough = frames_with_enough_markers(measured.observations, measured.design)
+    return [number for number in enough if number in measured.unsolved]
+
+
+def frames_with_enough_markers(o: Observations, design: Design) -> list[int]:
+    """Numbers of frames with two markers or more of all that is needed."""
     enough = np.ones(len(o.frames), bool)
-    moving = [i for i, camera in enumerate(measured.design.cameras) if camera.mount == "moving"]
+    moving = [i for i, camera in enumerate(design.cameras) if camera.mount == "moving"]
     for mask in (o.on_platform, *(~o.on_platform & (o.camera == i) for i in moving)):
         frame, _ = np.unique(np.stack([o.frame[mask], o.camera[mask] * 100_000 + o.marker[mask]], axis=1), axis=0).T
         enough &= np.bincount(frame, minlength=len(o.frames)) >= 2
-    return [number for number in o.frames[enough].tolist() if number in measured.unsolved]
+    found: list[int] = o.frames[enough].tolist()
+    return found
 
 
 def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str:

@@ -17,7 +17,7 @@ from vision import lens
 from vision.corner_observations import observations_from_corners
 from vision.predict import are_markers_placed, marker_map
 from vision.recording_adjustment import Measurement, measure_observations
-from vision.recording_measurement import unsolved_frames_with_enough_markers
+from vision.recording_measurement import frames_with_enough_markers, unsolved_frames_with_enough_markers
 
 FRAMES = 8  # looked at
 CORNER = 2.0  # times its edges' that a corner moves, at angles of 60 degrees; less at all wider ones
@@ -62,13 +62,14 @@ class Trial:
     """misfit : px, RMS of the corners' distances from where they ought to be, none more than LOST; seen : what was
     tried;
     measured : Measurement, None where nothing could be solved; miss : (n,) px per corner in the observations' order, or
-        None; reason : why nothing could be solved."""
+        None; reason : why nothing could be solved; sparse : whether that is because no frame shows enough markers."""
 
     misfit: float
     seen: SampledRecording
     measured: Measurement | None
     miss: Floats | None
     reason: str = ""
+    sparse: bool = False
 
 
 def sample_frames(
@@ -121,12 +122,13 @@ def measure_trial(sample: SampledRecording, free: tuple[str, ...] = ("poses", "l
     if not len(corners.frame):
         return Trial(LOST, sample, None, None)
     markers = marker_map(sample.design)
+    observations = observations_from_corners(corners, sample.frames, sample.design, markers)
     try:
-        measured = measure_observations(
-            observations_from_corners(corners, sample.frames, sample.design, markers), sample.design, markers, free
-        )
+        measured = measure_observations(observations, sample.design, markers, free)
     except (NotEnoughData, RigError, np.linalg.LinAlgError) as error:
-        return Trial(LOST, sample, None, None, str(error))
+        enough = frames_with_enough_markers(observations, sample.design)
+        sparse = len(enough) < min(2, len(sample.frames))  # one that contradicts itself proves nothing
+        return Trial(LOST, sample, None, None, str(error), sparse)
     o = measured.observations
     miss = np.minimum(np.nan_to_num(np.linalg.norm(measured.residuals, axis=1), nan=LOST), LOST)
     poor = sorted(

@@ -9,7 +9,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
-from rig.model.design import Camera, Design
+from rig.model.design import Design
 from rig.recording.frame_selection_and_content_hashes import recording_of_first_seen_hand
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
@@ -17,6 +17,7 @@ from vision.checks import camera_mistake_trials as cameras
 from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistake_trials as targets
 from vision.checks.corner_and_lens_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
+from vision.checks.trials_from_other_camera_poses import cameras_by_free_markers, stated_trial_from_other_camera_poses
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
 from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand
 
@@ -88,6 +89,18 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     """Mistakes that explain a misfit, and the Trial that is best. most : mistakes to try"""
     if first.misfit < FINE:
         return [], first
+    if first.sparse:
+        return [
+            Mistake(
+                f"corners show too little of the platform: {first.reason}",
+                "Add cubes or cameras, or place them so that every frame shows two markers of the platform",
+                True,
+                0.2,
+            )
+        ], first
+    begun = stated_trial_from_other_camera_poses(first, FINE)
+    if begun is not None:
+        return [], begun
     unstated = _unstated(first)
     if unstated is not None:
         return unstated
@@ -166,7 +179,7 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     brings adjusting to an end
     """
     best = first
-    for begun in alternative_initial_lenses(first.seen.design.cameras, partial(_loosened, first.seen)):
+    for begun in alternative_initial_lenses(first.seen.design.cameras, partial(cameras_by_free_markers, first.seen)):
         tried = measure_trial(first.seen.with_cameras(begun))
         best = min(best, tried, key=lambda one: one.misfit)
         if tried.misfit < DONE:
@@ -195,12 +208,6 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
             0.6,
         )
     ], best
-
-
-def _loosened(seen: SampledRecording, cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
-    """The cameras adjusted from these with markers' places free, None where nothing can be solved."""
-    measured = measure_trial(seen.with_cameras(cameras), ("poses", "lenses", "markers")).measured
-    return None if measured is None else measured.design.cameras
 
 
 def _sized(first: Trial) -> tuple[list[Mistake], Trial]:

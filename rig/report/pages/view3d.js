@@ -63,6 +63,23 @@ export class Rig {
     const parts = this.scene.parts.map((part) => ({ ...part, at: part.points.map(place) }));
     parts.sort((a, b) => Math.max(...b.at.map((p) => p[2])) - Math.max(...a.at.map((p) => p[2])));
     for (const part of parts) this.part(ink, part, style);
+    this.axes(ink, style, [c, s, ct, st], height);
+  }
+
+  // Axes of the base frame, as they are turned, in a corner of their own: in the rig they would be lost among the struts.
+  axes(ink, style, [c, s, ct, st], height) {
+    const [x, y, length] = [34, height - 34, 22];
+    const ends = { x: [c, st * s], y: [s, -st * c], z: [0, ct] };
+    ink.font = "12px system-ui, sans-serif";
+    ink.lineWidth = 1.5;
+    for (const [name, [right, up]] of Object.entries(ends)) {
+      ink.beginPath();
+      ink.moveTo(x, y);
+      ink.lineTo(x + length * right, y - length * up);
+      ink.strokeStyle = ink.fillStyle = style.getPropertyValue("--ink");
+      ink.stroke();
+      ink.fillText(name, x + (length + 9) * right - 3, y - (length + 9) * up + 4);
+    }
   }
 
   part(ink, part, style) {

@@ -8,7 +8,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.recording import recording_folder
-from tests.bench.accusations import setup
+from tests.bench.accusations import design_setup, setup
 from tests.calib.checks.good import recorded
 from vision.checks import find_corner_mistakes
 from vision.recording_measurement import measure_recording
@@ -65,3 +65,17 @@ def test_a_platform_that_no_camera_sees_is_given_as_the_reason(tmp_path: Path) -
     assert read.corners is not None
     (found,) = find_corner_mistakes(read, read.corners)
     assert "frames could be solved: no marker of the body is seen" in found.what and "px RMS" not in found.what
+
+
+@pytest.mark.parametrize("seed", [9058, 9160, 9273])
+def test_a_design_whose_cameras_see_one_base_marker_is_not_accused(seed: int, tmp_path: Path) -> None:
+    """Accused before: 9058 and 9160 of other lenses, 9273 of targets with x and y exchanged. A camera stayed where it
+    is stated, as a single base marker does not locate it."""
+    found = design_setup(seed, tmp_path / "rec")
+    assert not found.wrong, found
+
+
+def test_a_design_that_shows_too_little_is_told_so(tmp_path: Path) -> None:
+    """Said before: corners and rig.toml do not agree."""
+    (found,) = design_setup(9001, tmp_path / "rec").found
+    assert found.spoils and "show too little of the platform: none of 8 frames could be solved" in found.what

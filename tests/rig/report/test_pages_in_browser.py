@@ -152,6 +152,16 @@ f.getBoundingClientRect().width / 400)))""")
     assert least >= READABLE, (kind, width)
 
 
+def test_the_stop_button_of_a_narrow_page_is_as_high_as_a_thumb(served, browser):
+    """44 CSS px, of WCAG 2.5.5."""
+    seen = browser.new_page(viewport={"width": 400, "height": 900})
+    seen.goto(served, wait_until="domcontentloaded")
+    seen.wait_for_selector("#pose td")
+    for button in ("#stop", "#ask button", "#reading"):
+        assert seen.evaluate(f"document.querySelector('{button}').getBoundingClientRect().height") >= 44, button
+    seen.close()
+
+
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "run"])
 def test_a_printed_page_shows_all_of_its_tables(kind, written, browser):
     """On paper nothing can be scrolled."""
