@@ -90,14 +90,8 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     if first.misfit < FINE:
         return [], first
     if first.sparse:
-        return [
-            Mistake(
-                f"corners show too little of the platform: {first.reason}",
-                "Add cubes or cameras, or place them so that every frame shows two markers of the platform",
-                True,
-                0.2,
-            )
-        ], first
+        do = "Add cubes or cameras, or place them so that every frame shows two markers of the platform"
+        return [Mistake(f"corners show too little of the platform: {first.reason}", do, True, 0.2)], first
     begun = stated_trial_from_other_camera_poses(first, FINE)
     if begun is not None:
         return [], begun
