@@ -6,6 +6,7 @@ no others.
 
 import gc
 import os
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault(
@@ -111,6 +112,38 @@ def design(rig_text, tmp_path_factory):
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     path.write_text(rig_text)
     return design_from_rig_toml.load_design(path)
+
+
+@pytest.fixture(scope="session")
+def driven_design(design):
+    """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of
+    a second.
+    """
+    from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
+    from rig.model.design import Controller
+
+    controller = Controller(
+        "grblhal",
+        "none",
+        115200,
+        "",
+        (),
+        homing=True,
+        zero=home_lengths(design.mechanism),
+        home=None,
+        max_speed=np.full(6, 0.01),
+        max_acceleration=np.full(6, 0.1),
+        tolerance=1e-5,
+        max_step=None,
+        margin=0.1,
+        timeout=2.0,
+        home_timeout=120.0,
+        watchdog=1.0,
+        kinematics="joint",
+        password="EMC",
+        enable_password="EMCTOO",
+    )
+    return replace(design, controller=controller)
 
 
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):

@@ -66,9 +66,12 @@ class PoseMove:
         """T_wanted_reached by the calibration, None before the move and where it is not corrected."""
         if self.status is None or self.uncorrected:
             return None
+        return self.wanted.inv() * self.pose_at(self.status.lengths)
+
+    def pose_at(self, lengths: Floats) -> RigidTransform:
+        """T_base_platform by the calibration where the struts read lengths (axes,) m after this move."""
         correction = self.calibration.correction
-        commanded = correction.inverse_without_physics(self.wanted) + self.status.lengths - self.lengths
-        return self.wanted.inv() * correction.predict(commanded)
+        return correction.predict(correction.inverse_without_physics(self.wanted) + lengths - self.lengths)
 
     @property
     def uncertainty(self) -> tuple[float, float] | None:
@@ -136,10 +139,12 @@ def plan_pose_move(
     return PoseMove(design, calibration, wanted, lengths, uncorrected, covariance=covariance)
 
 
-def require_same_rig(design: Design, calibration: Calibration, design_path: Path, calibration_path: Path) -> None:
+def require_same_rig(
+    design: Design, calibration: Calibration, design_path: Path | str, calibration_path: Path | str
+) -> None:
     """Raise RigError where a calibration is of another rig than a design.
 
-    The paths are for the message.
+    The paths, or names, are for the message.
     """
     nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
     names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]

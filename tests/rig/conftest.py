@@ -1,12 +1,10 @@
 """Fixtures of the effects' and the driver's tests."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from rig.model.base_and_link_tilts import GRAVITY
-from rig.model.design import PROTOCOLS, Controller
+from rig.model.design import PROTOCOLS
 from tests.conftest import ROOT
 
 OWN_PROTOCOL = f"file:{ROOT / 'rig' / 'driving' / 'example_protocol_with_emulator.py'}"
@@ -34,37 +32,6 @@ def setting(design):
         },
     )
     return design, Commands(t, values), np.sort(rng.uniform(1, t[-1], 40)), sensors
-
-
-@pytest.fixture(scope="session")
-def driven_design(design):
-    """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of
-    a second.
-    """
-    from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-
-    controller = Controller(
-        "grblhal",
-        "none",
-        115200,
-        "",
-        (),
-        homing=True,
-        zero=home_lengths(design.mechanism),
-        home=None,
-        max_speed=np.full(6, 0.01),
-        max_acceleration=np.full(6, 0.1),
-        tolerance=1e-5,
-        max_step=None,
-        margin=0.1,
-        timeout=2.0,
-        home_timeout=120.0,
-        watchdog=1.0,
-        kinematics="joint",
-        password="EMC",
-        enable_password="EMCTOO",
-    )
-    return replace(design, controller=controller)
 
 
 @pytest.fixture(params=EVERY_PROTOCOL, ids=[name.rpartition("/")[2] for name in EVERY_PROTOCOL])
