@@ -6,7 +6,6 @@ imported where a device is made.
 
 import asyncio
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -120,8 +119,8 @@ def bluesky_platform(
     name: str = "platform",
     share: float = 1.0,
     measure: Callable[[], RigidTransform] | None = None,
-) -> Any:  # Any: a class of ophyd-async, whose types need not be installed
-    """The platform as a device of ophyd-async that reads, moves, stops and locates itself.
+) -> PosePlatform:
+    """The platform as a device of ophyd-async: what a PosePlatform does, and `set`, its move as a status.
 
     driver : open, of a rig whose position is known; calibration : of the same rig; share : of the greatest speeds
     measure : T_base_platform () of the platform at rest, called whenever the device is read; None where nobody measures
