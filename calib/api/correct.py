@@ -23,9 +23,9 @@ from calib.models.wanted_pose_commands import (
     poses_to_command,
 )
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.driving.protocols.gcs import AXES as HEXAPOD_AXES
-from rig.driving.protocols.gcs import PoseFrames as PoseFrames
-from rig.driving.protocols.gcs import gcs_values_of_pose
+from rig.driving.protocols.poses_of_hexapod_controllers import AXES as HEXAPOD_AXES
+from rig.driving.protocols.poses_of_hexapod_controllers import PoseFrames as PoseFrames
+from rig.driving.protocols.poses_of_hexapod_controllers import controller_values_of_pose
 from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
@@ -98,14 +98,14 @@ class CorrectionResult(OneLineRepr):
         """Names of the values of a command: axes, or a pose's."""
         if self.pose_frames is None:
             return self.calibration.correction.nominal.axes
-        return HEXAPOD_AXES if self.pose_frames.gcs else POSE_COLUMNS
+        return HEXAPOD_AXES if self.pose_frames.mm_and_degrees else POSE_COLUMNS
 
     @property
     def units(self) -> tuple[str, ...]:
         """SI units of the values of a command; none of what MOV takes, which is in mm and degrees."""
         if self.pose_frames is None:
             return mechanisms.axis_units(self.calibration.correction.nominal)
-        return ("",) * 6 if self.pose_frames.gcs else POSE_UNITS
+        return ("",) * 6 if self.pose_frames.mm_and_degrees else POSE_UNITS
 
     def commands(self, values: Floats, pose: Integers) -> Floats:
         """(m, columns) to command for values (m, axes) m or rad, near the wanted poses of indices pose (m,): the same,
@@ -117,7 +117,7 @@ class CorrectionResult(OneLineRepr):
         near = self.wanted.poses.T_base_platform[self.index[pose]]
         nominal = self.calibration.correction.nominal
         command = poses_to_command(nominal, values, near, self.pose_frames)
-        return gcs_values_of_pose(command) if self.pose_frames.gcs else pose_to_vector(command)
+        return controller_values_of_pose(command) if self.pose_frames.mm_and_degrees else pose_to_vector(command)
 
     @property
     def covariance(self) -> Floats | None:

@@ -26,7 +26,7 @@ from calib.correction.physics_compensation import (
 from calib.correction.timed_command_sequence_and_pose_error_map import Pace, Route, timed_route, untimed_route
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.protocols.gcs import PoseFrames
+from rig.driving.protocols.poses_of_hexapod_controllers import PoseFrames
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms

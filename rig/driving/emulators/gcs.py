@@ -18,7 +18,9 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.protocols.gcs import AXES, HEXAPOD_UNITS, PIVOT, pose_of_gcs_values
+from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
+from rig.driving.protocols.gcs import HEXAPOD_UNITS, PIVOT
+from rig.driving.protocols.poses_of_hexapod_controllers import AXES
 from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -227,7 +229,6 @@ def _lines(texts: Iterable[str]) -> str:
 
 
 UNKNOWN, VELOCITY, INVALID_AXIS, OUT_OF_LIMITS, WRONG_NUMBER = 2, 8, 15, 7, 25  # errors
-NONE = RigidTransform.identity()
 FASTEST = 5.0  # times a strut's speed that the platform may move
 
 
@@ -246,22 +247,20 @@ class GCSHexapod(GCS):
         geometry: Hexapod,
         limits: Floats,
         work: RigidTransform | None = None,
-        tool: RigidTransform = NONE,
+        tool: RigidTransform | None = None,
     ) -> None:
-        self.geometry, self.work, self.tool = geometry, geometry.home if work is None else work, tool
-        self._into_work, self._tool = np.linalg.inv(self.work.as_matrix()), tool.as_matrix()
-        self._shown: tuple[Floats, Floats] | None = None  # lengths, and the pose that they make
+        self.platform = EmulatedPlatform(geometry, work, tool)
         super().__init__(machine, faults, clock, AXES, limits)
 
     def greet(self) -> None:
-        self.pivot, self.platform_velocity = np.zeros(3), float(self.machine.axes.speed.min())
+        self.platform.pivot, self.platform_velocity = np.zeros(3), float(self.machine.axes.speed.min())
         super().greet()
 
     def line(self, line: bytes) -> None:
         words = line.decode("latin-1").strip().split()
         word = words[0].upper() if words else ""
         if word == "SPI?":
-            self.say(" \n".join(f"{name}={MM * value:.6f}" for name, value in zip(PIVOT, self.pivot)) + "\n")
+            self.say(" \n".join(f"{name}={MM * value:.6f}" for name, value in zip(PIVOT, self.platform.pivot)) + "\n")
         elif word == "VLS?":
             self.say(f"{MM * self.platform_velocity:.6f}\n")
         elif word == "SPI":
@@ -275,14 +274,7 @@ class GCSHexapod(GCS):
 
     def pose_values(self) -> Floats:
         """(6,) X Y Z in mm, U V W in degrees, as it computes them from its struts."""
-        lengths = self.machine.counters(self.now) + self.machine.zero
-        if self._shown is None or not np.array_equal(lengths, self._shown[0]):
-            self._shown = lengths, mechanisms.hexapod.forward(lengths, self.geometry).as_matrix()
-        T = self._into_work @ self._shown[1] @ self._tool
-        R = T[:3, :3]  # Rx(U) Ry(V) Rz(W)
-        place = T[:3, 3] + R @ self.pivot - self.pivot
-        angles = np.arctan2([-R[1, 2], R[0, 2], -R[0, 1]], [R[2, 2], np.hypot(R[0, 0], R[0, 1]), R[0, 0]])
-        return np.r_[MM * place, np.degrees(angles)]
+        return self.platform.values(self.machine.counters(self.now) + self.machine.zero)
 
     def _set_pivot(self, arguments: list[str]) -> None:
         names, values = arguments[::2], arguments[1::2]
@@ -292,7 +284,7 @@ class GCSHexapod(GCS):
             self.error = OUT_OF_LIMITS
         else:
             for name, value in zip(names, values):
-                self.pivot[PIVOT.index(name)] = float(value) / MM
+                self.platform.pivot[PIVOT.index(name)] = float(value) / MM
 
     def _set_velocity(self, arguments: list[str]) -> None:
         try:
@@ -308,7 +300,7 @@ class GCSHexapod(GCS):
     def seconds_of_move(self, target: Floats) -> float:
         """s that a move to counters (6,) m takes at the platform's velocity."""
         start = self.machine.counters(self.now)
-        ends = [mechanisms.hexapod.forward(one + self.machine.zero, self.geometry) for one in (start, target)]
+        ends = [mechanisms.hexapod.forward(one + self.machine.zero, self.platform.geometry) for one in (start, target)]
         distance = np.linalg.norm(ends[1].translation - ends[0].translation)
         return float(max(distance, np.abs(target - start).max()) / self.platform_velocity)
 
@@ -334,10 +326,7 @@ class GCSHexapod(GCS):
         values = self.pose_values()
         try:
             values[[AXES.index(name) for name in names]] = [float(value) for value in arguments[1::2]]
-            T = pose_of_gcs_values(values)
-            shift = T.translation - T.rotation.apply(self.pivot) + self.pivot
-            platform = self.work * RigidTransform.from_components(shift, T.rotation) * self.tool.inv()
-            lengths = mechanisms.hexapod.inverse(platform, self.geometry)
+            lengths = self.platform.lengths(values)
         except (ValueError, NotConverged):
             self.error = WRONG_NUMBER
             return

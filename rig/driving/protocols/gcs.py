@@ -8,23 +8,22 @@ lines has a blank before all line feeds but the last.
 
 C-887: GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
 
-The controller computes strut lengths from a pose by its nominal geometry, that of rig.toml. So lengths that are wanted
-are commanded as the pose of which this geometry makes them, in the controller's frames and about its pivot point, and
-the pose that is read back stands for lengths. The pivot point (SPI) is asked of the controller before every move.
+Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers). The pivot point (SPI) is asked of the
+controller before every move.
 Source: PI MS204E (C-887), MOV, POS?, SPI, VLS; poses: PI MS207E (H-820), 3.7.4; work and tool frames: C887T0007
 """
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
+from rig.driving.protocols.poses_of_hexapod_controllers import AXES, MM, PosesForLengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     REST,
@@ -40,9 +39,7 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     query_dialogue,
 )
 from rig.errors import ControllerFault, NoAnswer
-from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.pose import pose
 
 UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
 STOPPED = 10  # the error that every stop leaves
@@ -280,54 +277,8 @@ def _reason(error: int) -> str:
     return f"error {error} ({ERRORS.get(error, 'see its manual')})"
 
 
-AXES = ("X", "Y", "Z", "U", "V", "W")
 PIVOT = ("R", "S", "T")  # names of the pivot point's coordinates
 HEXAPOD_UNITS = ("MM",) * 3 + ("DEG",) * 3
-NONE = pose([0, 0, 0], [0, 0, 0])
-ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, V, W; per m
-
-
-def gcs_values_of_pose(T: RigidTransform) -> Floats:
-    """GCS values (..., 6) of poses (...), as a hexapod's controller takes them.
-
-    X, Y, Z in mm and U, V, W in degrees.
-    """
-    return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
-
-
-def pose_of_gcs_values(values: ArrayLike) -> RigidTransform:
-    """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees."""
-    values = np.asarray(values, float)
-    return RigidTransform.from_components(
-        values[..., :3] / MM, Rotation.from_euler(ORDER, values[..., 3:], degrees=True)
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseFrames:
-    """Frames in which a controller takes poses. work : T_base_work; tool : T_platform_tool; pivot : (3,) m in the
-    tool's frame: the point that a turn leaves where it is (SPI); gcs : whether poses are written as MOV takes them
-    """
-
-    work: RigidTransform = NONE
-    tool: RigidTransform = NONE
-    pivot: Floats = field(default_factory=lambda: np.zeros(3))
-    gcs: bool = False
-
-    def command_of_pose(self, T_base_platform: RigidTransform) -> RigidTransform:
-        """What is commanded for poses (...): the pose of the tool in the work frame, its translation (m) that of the
-        pivot.
-        """
-        matrix = np.linalg.inv(self.work.as_matrix()) @ T_base_platform.as_matrix() @ self.tool.as_matrix()
-        matrix[..., :3, 3] += matrix[..., :3, :3] @ self.pivot - self.pivot
-        return RigidTransform(matrix, normalize=False)
-
-    def pose_of_command(self, command: RigidTransform) -> RigidTransform:
-        """T_base_platform (...) that a commanded pose (...) means."""
-        matrix = command.as_matrix()
-        matrix[..., :3, 3] += self.pivot - matrix[..., :3, :3] @ self.pivot
-        whole = self.work.as_matrix() @ matrix @ np.linalg.inv(self.tool.as_matrix())
-        return RigidTransform(whole, normalize=False)
 
 
 class GCSHexapod(GCS):
@@ -344,13 +295,12 @@ class GCSHexapod(GCS):
         self, hexapod: Hexapod, zero: Floats, work: RigidTransform | None, tool: RigidTransform | None
     ) -> None:
         super().__init__(AXES, len(AXES))
-        self.hexapod, self.zero = hexapod, zero
-        self.frames = PoseFrames(hexapod.home if work is None else work, NONE if tool is None else tool)
+        self.poses = PosesForLengths(hexapod, zero, work, tool)
 
     def hello(self) -> Dialogue[str]:
         answer = yield from super().hello()
         yield from self._learn_pivot()
-        return f"{answer}, pivot point {' '.join(f'{MM * value:g}' for value in self.frames.pivot)} mm"
+        return f"{answer}, pivot point {' '.join(f'{MM * value:g}' for value in self.poses.frames.pivot)} mm"
 
     def fence(self) -> Dialogue[bool]:
         same = yield from super().fence()
@@ -358,14 +308,14 @@ class GCSHexapod(GCS):
         return same
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
-        ends = np.stack([segment.start, segment.target]) + self.zero
-        start, T = mechanisms.hexapod.forward(ends, self.hexapod)
+        ends = np.stack([segment.start, segment.target])
+        start, T = self.poses.platform(ends)
         distance = max(np.linalg.norm(T.translation - start.translation), np.abs(np.diff(ends, axis=0)).max())
         if distance > 0:  # the platform's velocity, with which the fastest strut has the speed that is asked for
             verdict = yield from self._command(f"VLS {MM * distance / segment.duration:.6f}")
             if not verdict.accepted:
                 return verdict
-        values = gcs_values_of_pose(self.frames.command_of_pose(T))
+        values = self.poses.values(segment.target)
         return (yield from self._command("MOV " + " ".join(f"{a} {value:.6f}" for a, value in zip(AXES, values))))
 
     def limits(self) -> Dialogue[ControllerLimits | None]:
@@ -373,9 +323,7 @@ class GCSHexapod(GCS):
         return None  # what TMN? and TMX? say is of each coordinate alone, the others at 0, and not of struts
 
     def _positions(self) -> Dialogue[Floats]:
-        values = yield from self._values("POS?")
-        T = self.frames.pose_of_command(pose_of_gcs_values(values))
-        return mechanisms.hexapod.inverse(T, self.hexapod) - self.zero
+        return self.poses.positions((yield from self._values("POS?")))
 
     def _learn_unit(self) -> Dialogue[None]:
         stated = yield from self._readings("PUN?", AXES, r"\S+")
@@ -390,4 +338,4 @@ class GCSHexapod(GCS):
         """Learn about which point the platform turns: it may be another since."""
         found = yield from self._readings("SPI?", PIVOT)
         at = np.array([float(found[name]) for name in PIVOT]) / MM
-        self.frames = PoseFrames(self.frames.work, self.frames.tool, at)
+        self.poses.frames = replace(self.poses.frames, pivot=at)

@@ -14,7 +14,12 @@ from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes
 from rig.driving.emulators.gcs import GCSHexapod
-from rig.driving.protocols.gcs import AXES, PoseFrames, gcs_values_of_pose, pose_of_gcs_values
+from rig.driving.protocols.poses_of_hexapod_controllers import (
+    AXES,
+    PoseFrames,
+    controller_values_of_pose,
+    pose_of_controller_values,
+)
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference
@@ -92,8 +97,8 @@ def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_b
 
     wanted = wanted_poses(nominal, 20)
     lengths = Correction(nominal, fitted, (None,) * 6).inverse_without_physics(wanted)
-    frames = PoseFrames(work=nominal.home, pivot=pivot, gcs=True)
-    commands = gcs_values_of_pose(poses_to_command(nominal, lengths, wanted, frames))
+    frames = PoseFrames(work=nominal.home, pivot=pivot, mm_and_degrees=True)
+    commands = controller_values_of_pose(poses_to_command(nominal, lengths, wanted, frames))
     say("SVO " + " ".join(f"{axis} 1" for axis in AXES))
     say("SPI " + " ".join(f"{name} {1e3 * value}" for name, value in zip("RST", pivot)))
     assert say("SPI?") == [f"{name}={1e3 * value:.6f}" for name, value in zip("RST", pivot)]
@@ -136,7 +141,7 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
     np.testing.assert_allclose(mechanisms.hexapod.inverse(commanded, design.mechanism), lengths, atol=1e-9)
     columns, values = written("gcs", "--pivot", "0,0,0.1", "--work", "0,0,0.2,0,0,0")
     frames = PoseFrames(work=pose([0, 0, 0.2], [0, 0, 0]), pivot=np.array([0, 0, 0.1]))
-    round_trip = frames.pose_of_command(pose_of_gcs_values(values))
+    round_trip = frames.pose_of_command(pose_of_controller_values(values))
     assert columns == "frame,X,Y,Z,U,V,W"
     np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
     capsys.readouterr()
@@ -147,6 +152,6 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
 
 
 def test_angles_turn_about_axes_that_move_along():
-    T = pose_of_gcs_values([1.0, 2.0, 3.0, 90.0, 0.0, 90.0])
+    T = pose_of_controller_values([1.0, 2.0, 3.0, 90.0, 0.0, 90.0])
     np.testing.assert_allclose(T.apply([1.0, 0, 0]), [1e-3, 2e-3, 3e-3 + 1], atol=1e-15)  # first U, then W about new z
-    np.testing.assert_allclose(gcs_values_of_pose(T), [1, 2, 3, 90, 0, 90], atol=1e-9)
+    np.testing.assert_allclose(controller_values_of_pose(T), [1, 2, 3, 90, 0, 90], atol=1e-9)

@@ -53,7 +53,7 @@ class Bench:
             true.base_joints, true.platform_joints, true.strut_zeros, ranges, float(height)
         )
         self.emulator = emulators.emulator_of_design(design, Faults((), np.random.default_rng(0)), SystemClock())
-        self.emulator.pivot = np.array(pivot) / 1e3
+        self.emulator.platform.pivot = np.array(pivot) / 1e3
         wire = controller_emulator_opening_and_ports.Terminal(folder / "port")
         self.emulator.greet = lambda: None  # the power is on, and the pivot point set
         self._thread = threading.Thread(

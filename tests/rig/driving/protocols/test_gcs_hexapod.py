@@ -104,7 +104,7 @@ def test_a_pivot_point_that_another_program_sets_counts_from_then_on(driven_desi
 def test_a_work_frame_that_is_not_the_controllers_is_found_after_homing(driven_design):
     home = hexapod.home_values(driven_design.mechanism)
     driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, "gcs-hexapod", (), 1, home=home)
-    emulator._into_work = pose([0, 0, -0.44], [0, 0, 0]).as_matrix()  # a work frame 10 mm below the platform at home
+    emulator.platform.work = pose([0, 0, 0.44], [0, 0, 0])  # a work frame 10 mm below the platform at home
     driver.open()
     with pytest.raises(PositionLost, match=r"after homing the struts read .* \[controller\] home states"):
         driver.home()
