@@ -125,8 +125,8 @@ def run(arguments: Namespace) -> None:
         print(f"{count_text(frames, 'frame')} in {out}; rig measure {out} --out DIR measures them all jointly")
     elif (out / "poses.csv").exists():
         print(
-            f"{count_text(frames, 'visit')} in {out / 'visits.csv'}, readings in {out / 'poses.csv'}; state [instrument] in "
-            f"{out / 'rig.toml'}"
+            f"{count_text(frames, 'visit')} in {out / 'visits.csv'}, readings in {out / 'poses.csv'}; "
+            f"state [instrument] in {out / 'rig.toml'}"
         )
     else:
         print(

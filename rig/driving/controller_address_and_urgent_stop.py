@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock, ask_lock_holder_to_end, await_end_of_lock_holder
+from rig.driving.newport_port import NewportPort
 from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
 from rig.errors import FileError
 
@@ -21,6 +22,7 @@ STOPS = {
     "grblhal": b"!",
     "gcs": b"\x18",
     "gcs-hexapod": b"\x18",
+    "hxp": b"0 GroupMoveAbort(HEXAPOD)\n",
     "linuxcnc": b"SET ABORT\r\n",
     "struts": b"!",
     "epics": b"",  # which takes the names of the records, see epics_motor_record_stop_bytes
@@ -65,7 +67,7 @@ class StoppedController(NamedTuple):
     """A controller that was sent its urgent stop. lock, port : held, open; sent : what; t : when, s on the clock"""
 
     lock: ControllerLock
-    port: SerialPort | ChannelAccessPort
+    port: SerialPort | ChannelAccessPort | NewportPort
     sent: bytes
     t: float
 

@@ -164,7 +164,7 @@ def _address(name: str) -> tuple[str, int]:
 KILLED = 2.0  # s in which a process that was killed is gone
 KILL: int = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process at once by either
 STOP = b"stop"  # what is sent to a process that this user may not signal
-USUAL_PORTS = {"ca": 5064}  # of URLs that name none
+USUAL_PORTS = {"ca": 5064, "xps": 5001}  # of URLs that name none
 _held: set[socket.socket] = set()  # of this process, which no forked child may hold on to
 
 

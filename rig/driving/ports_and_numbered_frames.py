@@ -27,7 +27,9 @@ from urllib.parse import quote, urlsplit
 
 import serial
 
+from rig.driving import newport_port
 from rig.driving.clock import Clock
+from rig.driving.newport_port import NewportPort
 from rig.errors import LinkLost, MissingLibrary
 from rig.model.protocol_and_port_names import port_problem
 
@@ -352,11 +354,14 @@ def _shown(value: object) -> str:
     return repr(float(str(value)))
 
 
-def open_port(port: str, usb: str, baudrate: int, clock: Clock) -> SerialPort | ChannelAccessPort:
+def open_port(port: str, usb: str, baudrate: int, clock: Clock) -> SerialPort | ChannelAccessPort | NewportPort:
     """The open port of a controller. port, usb, baudrate : as [controller] states them
 
     Raises LinkLost where it does not open, MissingLibrary for an IOC without the package that it takes
     """
-    if port.partition("://")[0].lower() == SCHEME:
+    scheme = port.partition("://")[0].lower()
+    if scheme == SCHEME:
         return ChannelAccessPort(port, clock)
+    if scheme == newport_port.SCHEME:
+        return NewportPort(port, clock)
     return SerialPort(find_usb_port(port, usb), baudrate, clock)

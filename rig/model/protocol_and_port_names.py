@@ -5,7 +5,8 @@ It imports nothing that takes time.
 
 import re
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "linuxcnc", "struts", "epics")
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics")
+TAKE_POSES = ("gcs-hexapod", "hxp")  # controllers of hexapods, with kinematics and frames of their own
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
 SHOWN = 80  # characters of a port's name that a message repeats
 SCHEMES = (
@@ -13,6 +14,7 @@ SCHEMES = (
     "rfc2217",
     "loop",
     "ca",
+    "xps",
 )  # of ports that are no device; pyserial knows others, which write files or search for devices
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
@@ -23,6 +22,7 @@ from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.native_strut_protocol import Struts
+from rig.driving.emulators.newport_hxp import NewportHexapod
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_quantity
@@ -30,7 +30,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod, Planar2
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
-from rig.model.protocol_and_port_names import is_user_file_or_package
+from rig.model.protocol_and_port_names import TAKE_POSES, is_user_file_or_package
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
@@ -102,7 +102,7 @@ def emulator_of_design(
         )
     acceleration = np.full(len(home), ACCELERATION) if c.max_acceleration is None else c.max_acceleration
     axes = MovingAxes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
-    zero = home if c.protocol == "gcs-hexapod" else c.zero  # its poses count from home, whatever lengths are called 0
+    zero = home if c.protocol in TAKE_POSES else c.zero  # its poses count from home, whatever lengths are called 0
     machine = EmulatedMachine(axes, zero, home, faults, known=not c.homing)
     limits = m.strut_range - zero[:, None]
     if is_user_file_or_package(c.protocol):
@@ -114,8 +114,9 @@ def emulator_of_design(
     if c.protocol == "gcs":
         return GCS(machine, faults, clock, c.axes or tuple(str(i + 1) for i in range(len(home))), limits)
     if c.protocol == "gcs-hexapod":
-        tool = RigidTransform.identity() if c.tool is None else c.tool
-        return GCSHexapod(machine, faults, clock, require_hexapod(m), limits, c.work, tool)
+        return GCSHexapod(machine, faults, clock, require_hexapod(m), limits, c.work, c.tool)
+    if c.protocol == "hxp":
+        return NewportHexapod(machine, faults, clock, limits, require_hexapod(m), c.work, c.tool)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     if c.protocol == "linuxcnc":

@@ -14,6 +14,7 @@ from rig.driving.protocols.gcs import GCS, GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.native_strut_protocol import Struts
+from rig.driving.protocols.newport_hxp import HXP
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Dialogue,
     LineProtocol,
@@ -59,6 +60,8 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
     if controller.protocol == "gcs-hexapod":
         hexapod = require_hexapod(mechanism, "gcs-hexapod drives a hexapod, not a mechanism of kind {kind!r}")
         return GCSHexapod(hexapod, controller.zero, controller.work, controller.tool)
+    if controller.protocol == "hxp":
+        return HXP(controller, require_hexapod(mechanism, "hxp drives a hexapod, not a mechanism of kind {kind!r}"))
     if controller.protocol == "struts":
         return Struts(axis_count, controller.watchdog)
     if controller.protocol == "linuxcnc":

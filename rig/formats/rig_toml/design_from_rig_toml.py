@@ -45,7 +45,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_hexapod,
     is_redundant,
 )
-from rig.model.protocol_and_port_names import is_motor_record_name, is_user_file_or_package, port_problem
+from rig.model.protocol_and_port_names import TAKE_POSES, is_motor_record_name, is_user_file_or_package, port_problem
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -173,12 +173,13 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
     if protocol == "epics" and not axes:
         table.fail(f"protocol epics takes {table.name('axes')}: the names of {n} motor records", "protocol")
-    if protocol == "gcs-hexapod":
+    if protocol in TAKE_POSES:
         if not is_hexapod(mechanism):
-            table.fail(f"protocol gcs-hexapod drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
+            table.fail(f"protocol {protocol} drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
         home = home_values(mechanism) if home is None else home
     elif {"work", "tool"} & set(table.tree):
-        table.fail("work and tool are frames of protocol gcs-hexapod", "work" if "work" in table.tree else "tool")
+        frames = " and ".join(TAKE_POSES)
+        table.fail(f"work and tool are frames of protocol {frames}", "work" if "work" in table.tree else "tool")
     return Controller(
         protocol,
         _port(table, default=""),
