@@ -5,19 +5,17 @@ timestamps, of one clock where cameras keep time by PTP.
 Source: GenICam Standard Features Naming Convention 2.7, chapters Acquisition Control, Digital I/O, PTP Control
 """
 
-import os
 import re
-import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Protocol, cast
+from contextlib import suppress
+from typing import cast
 
 import numpy as np
 
 from rig.array_and_json_types import Integers
 from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, ClockOffset, Frame
+from rig.driving.cameras.genicam_discovery import HARVESTER, Acquirer, Buffer, ImageComponent, Number, error_text
 from rig.driving.clock import Clock
-from rig.errors import MissingLibrary
 from rig.model.design import AS_IT_IS, CaptureSettings
 
 WAIT = 5.0  # s for a frame after its trigger
@@ -29,147 +27,10 @@ PTP_NODES = (
     ("PtpEnable", "PtpDataSetLatch", "PtpStatus"),
     ("GevIEEE1588", "GevIEEE1588DataSetLatch", "GevIEEE1588Status"),
 )
+EXPOSURE = ("ExposureTime", "ExposureTimeAbs")  # us; the second name is of cameras before SFNC 2.0
+GAIN = ("Gain", "GainAbs")  # dB
 FORMAT = re.compile(r"(Mono|Bayer(?:RG|GB|GR|BG)|RGB|BGR)(8|10|12|14|16)")
 BAYER = {"RG": "RGGB", "GB": "GBRG", "GR": "GRBG", "BG": "BGGR"}  # first two of a row, and all four as OpenCV has it
-
-
-class Number(Protocol):
-    """A setting of a camera. value, min, max : in the setting's own unit"""
-
-    value: float
-    min: float
-    max: float
-
-
-class Command(Protocol):
-    """A command of a camera."""
-
-    def execute(self) -> None:
-        """Execute the command."""
-
-
-class NodeMap(Protocol):
-    """Settings and commands of a camera by their names, of which some cameras lack some."""
-
-    TriggerSoftware: Command
-    TimestampLatch: Command
-    TimestampLatchValue: Number
-    ExposureTime: Number
-
-
-class Device(Protocol):
-    """The camera at the other end."""
-
-    node_map: NodeMap
-
-
-class ImageComponent(Protocol):
-    """An image of a buffer. data : (height width,); data_format : Mono8, .."""
-
-    width: int
-    height: int
-    data_format: str
-    data: Integers
-
-
-class Payload(Protocol):
-    """What a buffer holds."""
-
-    components: list[ImageComponent]
-
-
-class Buffer(AbstractContextManager["Buffer"], Protocol):
-    """A buffer that goes back to its camera at the end. timestamp_ns : None or 0 where the camera stamps none"""
-
-    payload: Payload
-    timestamp_ns: int | None
-
-
-class Acquirer(Protocol):
-    """What is called of harvesters' ImageAcquirer, which has no types."""
-
-    remote_device: Device
-
-    def start(self) -> None:
-        """Begin to acquire."""
-
-    def fetch(self, *, timeout: float) -> Buffer | None:
-        """The next buffer, None where none comes in timeout s."""
-
-    def try_fetch(self, *, timeout: float) -> Buffer | None:
-        """The next buffer, None where none comes in timeout s."""
-
-    def stop(self) -> None:
-        """End acquiring."""
-
-    def destroy(self) -> None:
-        """Let go of the camera."""
-
-
-class Found(Protocol):
-    """A camera that a producer found. serial_number : its own"""
-
-    serial_number: str
-
-
-class Discovery(Protocol):
-    """What is called of harvesters' Harvester, which has no types. device_info_list : the cameras found"""
-
-    device_info_list: list[Found]
-
-    def add_file(self, path: str) -> None:
-        """Take a producer."""
-
-    def update(self) -> None:
-        """Look for cameras."""
-
-    def create(self, which: dict[str, str]) -> Acquirer:
-        """Open a camera."""
-
-    def reset(self) -> None:
-        """Let go of all producers."""
-
-
-class SharedHarvester:
-    """The process's one Harvester, as a maker's producer may be opened once in a process; there while a camera is."""
-
-    def __init__(self) -> None:
-        self._harvester: Discovery | None = None
-        self._users, self._lock = 0, threading.Lock()
-        self.ptp = ClockOffset()  # of the one clock of all cameras that keep time by PTP
-
-    def open(self, name: str, serial: str) -> Acquirer:
-        """The camera with a serial number. Raises MissingLibrary without harvesters, CameraError where it does not
-        answer; name : of the camera, for messages
-        """
-        with self._lock:
-            if self._harvester is None:
-                self._harvester = _harvester_of_producers(name)
-            try:
-                serial_numbers = [info.serial_number for info in self._harvester.device_info_list]
-                if serial not in serial_numbers:
-                    known = ", ".join(map(repr, serial_numbers)) or "none"
-                    raise CameraError(f"camera {name!r}: no GenICam camera {serial!r}; there are {known}")
-                acquirer = self._harvester.create({"serial_number": serial})
-            except BaseException:
-                self._reset_unused()
-                raise
-            self._users += 1
-            return acquirer
-
-    def close(self) -> None:
-        """A camera that was opened is let go of."""
-        with self._lock:
-            self._users -= 1
-            self._reset_unused()
-
-    def _reset_unused(self) -> None:
-        if not self._users and self._harvester is not None:
-            self._harvester.reset()
-            self._harvester, self.ptp = None, ClockOffset()
-
-
-HARVESTER = SharedHarvester()
 
 
 class GenicamSource:
@@ -194,8 +55,10 @@ class GenicamSource:
         self._armed = clock.now()
         self._offset = ptp if ptp is not None and settings.ptp else ClockOffset()
         self.name, self._acquirer, self._clock, self._size = name, acquirer, clock, size
-        nodes = acquirer.remote_device.node_map
-        self._nodes = nodes
+        self._nodes = acquirer.remote_device.node_map
+        self._exposure_node = self._name_of("exposure time", EXPOSURE)
+        if settings.pixel_format:  # first, as white balance is there for colours alone
+            self._set("PixelFormat", settings.pixel_format)
         for node, value in (
             ("AcquisitionMode", "Continuous"),
             ("TriggerSelector", "FrameStart"),
@@ -205,14 +68,10 @@ class GenicamSource:
             ("ExposureAuto", "Off"),
             ("BalanceWhiteAuto", "Off"),  # or colours change from frame to frame
         ):
-            if hasattr(nodes, node):
-                getattr(nodes, node).value = value
-        if settings.pixel_format:
-            self._set("PixelFormat", settings.pixel_format)
+            self._set_available(node, value)
         if settings.gain is not None:
-            if hasattr(nodes, "GainAuto"):
-                nodes.GainAuto.value = "Off"
-            self._set("Gain", settings.gain)
+            self._set_available("GainAuto", "Off")
+            self._set(self._name_of("gain in dB", GAIN), settings.gain)
         if settings.trigger:
             self._set("TriggerSource", settings.trigger)
         if settings.strobe:
@@ -252,17 +111,47 @@ class GenicamSource:
                 pass
         self._armed = self._clock.now()
 
+    def _name_of(self, what: str, names: tuple[str, ...]) -> str:
+        """Which of the names of a setting the camera has. Raises CameraError where it has none of them."""
+        found = next((name for name in names if hasattr(self._nodes, name)), None)
+        if found is None:
+            raise CameraError(f"camera {self.name!r} has no {what}: none of {', '.join(names)}")
+        return found
+
     def _set(self, node: str, value: float | str) -> None:
         """Set a setting of the camera. Raises CameraError where it lacks it or does not take the value."""
+        if not hasattr(self._nodes, node):
+            raise CameraError(f"camera {self.name!r} does not take {node} = {value}: it has no {node}")
         try:
             getattr(self._nodes, node).value = value
         except Exception as error:  # genicam's own kinds, of which there are many
-            raise CameraError(f"camera {self.name!r} does not take {node} = {value}: {error}") from error
+            raise CameraError(f"camera {self.name!r} does not take {node} = {value}: {error_text(error)}") from error
+
+    def _set_available(self, node: str, value: str) -> None:
+        """Set a setting unless the camera lacks it, as it is or in its present state; white balance is not there where
+        images are grey. Raises CameraError where it is there and does not take the value.
+        """
+        try:
+            if getattr(self._nodes, node).value == value:
+                return
+        except Exception:  # genicam: it is not there, or cannot be read in this state
+            return
+        self._set(node, value)
 
     def grab(self) -> Frame:
         """Trigger an exposure, or where an edge does this wait for one, and for its image. Raises CameraError where
         none comes.
         """
+        try:
+            return self._triggered_frame()
+        except CameraError:
+            raise
+        except Exception as error:  # genicam's own kinds, as of a camera that is unplugged
+            raise CameraError(
+                f"camera {self.name!r} does not answer; is it plugged in, and free? {error_text(error)}"
+            ) from error
+
+    def _triggered_frame(self) -> Frame:
         self._read_clock()
         before = self._armed if self.waits_for_edge else self._clock.now()
         if not self.waits_for_edge:
@@ -274,14 +163,16 @@ class GenicamSource:
         try:
             buffer = self._acquirer.fetch(timeout=WAIT)
         except Exception as error:  # harvesters passes on whatever the producer raises
-            raise CameraError(f"camera {self.name!r} gave no image in {WAIT:g} s after {cause}: {error}") from error
+            raise CameraError(
+                f"camera {self.name!r} gave no image in {WAIT:g} s after {cause}: {error_text(error)}"
+            ) from error
         if buffer is None:
             raise CameraError(f"camera {self.name!r} gave no image in {WAIT:g} s after {cause}")
         if self.waits_for_edge:
             triggered = self._clock.now()
         with buffer:
             image = self._image(buffer.payload.components[0])
-            stamp = buffer.timestamp_ns * STAMP if buffer.timestamp_ns else None
+            stamp = _stamp(buffer)
         half = self._exposure() / 2
         if stamp is None:
             return Frame(image, (before + triggered) / 2 + half, max(triggered - before, 1e-3) / 2)
@@ -321,6 +212,11 @@ class GenicamSource:
             )
         kind, bits = form[1], int(form[2])
         shape = (component.height, component.width, *((3,) if kind in ("RGB", "BGR") else ()))
+        if component.data.size != np.prod(shape):
+            raise CameraError(
+                f"camera {self.name!r} sent {component.data.size} of the {np.prod(shape)} values of an image; are "
+                "packets lost, or rows padded?"
+            )
         image = np.array(component.data).reshape(shape)
         image = image.astype(np.uint8) if bits == 8 else image.astype(np.uint16) << (16 - bits)
         if kind == "RGB":
@@ -332,19 +228,25 @@ class GenicamSource:
         return cast("Integers", cv2.cvtColor(image, getattr(cv2, f"COLOR_Bayer{BAYER[kind[5:]]}2BGR")))
 
     def _exposure(self) -> float:
-        return float(self._nodes.ExposureTime.value) * 1e-6
+        return float(self._exposure_time().value) * 1e-6
+
+    def _exposure_time(self) -> Number:
+        return cast("Number", getattr(self._nodes, self._exposure_node))
 
     def set_exposure(self, seconds: float) -> float:
         """Expose for so long, within what the camera can."""
-        node = self._nodes.ExposureTime
+        node = self._exposure_time()
         node.value = min(max(seconds * 1e6, node.min), node.max)
         return self._exposure()
 
     def close(self) -> None:
-        """Stop and let go of the camera."""
-        self._acquirer.stop()
-        self._acquirer.destroy()
-        self._let_go()
+        """Stop and let go of the camera, also where it is gone and answers neither."""
+        try:
+            for step in (self._acquirer.stop, self._acquirer.destroy):
+                with suppress(Exception):  # genicam's own kinds, of a camera that is gone
+                    step()
+        finally:
+            self._let_go()
 
 
 def open_genicam_camera(
@@ -362,25 +264,13 @@ def open_genicam_camera(
         raise
 
 
-def _harvester_of_producers(name: str) -> Discovery:
-    """A Harvester with all producers that there are; GENICAM_GENTL64_PATH names their folders, as the GenTL standard
-    has it. Raises MissingLibrary without harvesters, CameraError where there is no producer (.cti file).
-    """
+def _stamp(buffer: Buffer) -> float | None:
+    """When a buffer's exposure began, s on its camera's clock; None where the camera stamps none."""
     try:
-        from harvesters.core import Harvester
-    except ImportError:
-        raise MissingLibrary("GenICam cameras need the package harvesters; pip install 'rig[genicam]'") from None
-    folders = [folder for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
-    producers = [
-        os.path.join(folder, file) for folder in folders for file in sorted(os.listdir(folder)) if file.endswith(".cti")
-    ]
-    if not producers:
-        raise CameraError(
-            f"camera {name!r}: no GenTL producer (.cti) in GENICAM_GENTL64_PATH = "
-            f"{os.pathsep.join(folders)!r}; install the maker's"
-        )
-    harvester: Discovery = Harvester()
-    for producer in producers:
-        harvester.add_file(producer)
-    harvester.update()
-    return harvester
+        nanoseconds = buffer.timestamp_ns
+    except Exception:  # genicam: producers before GenTL 1.5 know ticks alone
+        try:
+            return buffer.timestamp / buffer.timestamp_frequency or None
+        except Exception:  # genicam, or a frequency of 0: the trigger's time is used
+            return None
+    return nanoseconds * STAMP if nanoseconds else None

@@ -1,5 +1,6 @@
 """Cameras: fresh frames only, their times on the host's clock, whole files only."""
 
+import contextlib
 import time
 import tomllib
 import types
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, genicam_camera, open_camera
+from rig.driving.cameras import CameraError, genicam_discovery, open_camera
 from rig.driving.cameras.camera_interface_and_user_cameras import (
     ClockOffset,
     Frame,
@@ -491,7 +492,7 @@ def test_genicam_cameras_share_one_harvester_until_the_last_is_closed(monkeypatc
         def reset(self):
             self.down = True
 
-    monkeypatch.setattr(genicam_camera, "_harvester_of_producers", lambda name: Harvester())
+    monkeypatch.setattr(genicam_discovery, "_harvester_of_producers", lambda name: Harvester())
     one, two = (open_camera(camera(f"genicam:{serial}"), Ticking()) for serial in ("A1", "B2"))
     assert len(made) == 1
     with pytest.raises(CameraError, match="no GenICam camera 'C3'; there are 'A1', 'B2'"):
@@ -502,6 +503,88 @@ def test_genicam_cameras_share_one_harvester_until_the_last_is_closed(monkeypatc
     assert made[0].down
     open_camera(camera("genicam:A1"), Ticking()).close()
     assert len(made) == 2 and made[1].down
+
+
+class Raising:
+    """A node, or a buffer, that raises genicam's errors."""
+
+    def __init__(self, error):
+        self.__dict__["error"] = error
+
+    def __getattr__(self, name):
+        raise self.error
+
+    def __setattr__(self, name, value):
+        raise self.error
+
+
+def test_an_older_genicam_camera_without_stamps_in_nanoseconds_is_used():
+    clock = Ticking()
+    acquirer, nodes, exposed = genicam(clock)
+    nodes.ExposureTimeAbs = nodes.ExposureTime
+    del nodes.ExposureTime
+    nodes.BalanceWhiteAuto = Raising(RuntimeError("AccessException"))  # as of grey images
+    plain = acquirer.fetch
+
+    class Ticks(contextlib.nullcontext):
+        timestamp_frequency = 1.25e8
+
+        @property
+        def timestamp_ns(self):
+            raise RuntimeError("NotImplementedException")
+
+    def fetch(timeout):
+        buffer, ticks = plain(timeout), Ticks()
+        ticks.enter_result, ticks.payload, ticks.timestamp = ticks, buffer.payload, buffer.timestamp_ns / 8
+        return ticks
+
+    acquirer.fetch = fetch
+    source = GenicamSource("cam0", acquirer, clock, SIZE)
+    assert source.set_exposure(0.01) == 0.01
+    for _ in range(4):
+        clock.sleep(0.5)
+        frame = source.grab()
+        assert abs(frame.t - (exposed[-1] + 0.005)) <= 2 * frame.t_sigma < 0.04
+
+
+def test_a_genicam_camera_that_fails_is_named_and_let_go_of():
+    clock, released = Ticking(), []
+    acquirer, nodes, _ = genicam(clock)
+    source = GenicamSource("cam0", acquirer, clock, SIZE, let_go=lambda: released.append(1))
+    plain = acquirer.fetch
+
+    def short(timeout):
+        buffer = plain(timeout)
+        buffer.payload.components[0].data = np.zeros(7, np.uint16)
+        return buffer
+
+    acquirer.fetch = short
+    with pytest.raises(CameraError, match="sent 7 of the 768 values of an image; are packets lost"):
+        source.grab()
+    nodes.TriggerSoftware = Raising(RuntimeError("Communication error"))
+    with pytest.raises(CameraError, match="'cam0' does not answer; is it plugged in, and free.* Communication error"):
+        source.grab()
+    acquirer.stop = acquirer.destroy = lambda: nodes.TriggerSoftware.execute()
+    source.close()
+    assert released == [1]
+    del nodes.ExposureTime
+    with pytest.raises(CameraError, match="has no exposure time: none of ExposureTime, ExposureTimeAbs"):
+        GenicamSource("cam0", acquirer, clock, SIZE)
+
+
+def test_a_genicam_camera_that_two_producers_find_is_opened_by_the_one_that_can(monkeypatch):
+    def create(place):
+        if place == 0:
+            raise ValueError("wrong subnet")
+        return genicam(Ticking())[0]
+
+    found = [types.SimpleNamespace(serial_number="A1")] * 2
+    harvester = types.SimpleNamespace(device_info_list=found, create=create, reset=lambda: None)
+    monkeypatch.setattr(genicam_discovery, "_harvester_of_producers", lambda name: harvester)
+    open_camera(camera("genicam:A1"), Ticking()).close()
+    del found[1:]
+    with pytest.raises(CameraError, match="'A1' is there and cannot be opened; .* wrong subnet"):
+        open_camera(camera("genicam:A1"), Ticking())
 
 
 class Controls(Capture):
