@@ -25,7 +25,7 @@ from rig.driving.cameras.camera_interface_and_user_cameras import (
     UserSource,
 )
 from rig.driving.cameras.genicam_camera import open_genicam_camera
-from rig.driving.cameras.opencv_camera import open_network_camera, open_opencv_camera
+from rig.driving.cameras.opencv_camera import open_gstreamer_camera, open_network_camera, open_uvc_camera
 from rig.driving.clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
@@ -214,8 +214,10 @@ def open_camera(camera: Camera, clock: Clock) -> Source:
         raise CameraError(f"camera {camera.name!r} has no source in rig.toml; it takes {', '.join(KINDS.values())}")
     kind, _, place = camera.source.partition(":")
     size = (camera.width, camera.height)
-    if kind in ("uvc", "gstreamer"):
-        return open_opencv_camera(camera.name, kind, place, clock, size, camera.capture)
+    if kind == "uvc":
+        return open_uvc_camera(camera.name, place, clock, size, camera.capture)
+    if kind == "gstreamer":
+        return open_gstreamer_camera(camera.name, place, clock, size)
     if kind in ("http", "https", "rtsp"):
         return open_network_camera(camera.name, camera.source, clock, size)
     if kind == "command":

@@ -8,7 +8,10 @@ from __future__ import annotations
 import math
 import re
 import sys
-from typing import TYPE_CHECKING, cast
+import threading
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, TypeVar, cast
 
 from rig.driving.cameras.camera_interface_and_user_cameras import UNIFORM, CameraError, ClockOffset, Frame
 from rig.driving.clock import Clock
@@ -49,6 +52,9 @@ def gstreamer_pipeline_problem(pipeline: str) -> str | None:
         wrong = next((one for one in settings if not SETTING.fullmatch(one)), None)
         if wrong is not None:
             return f"has {wrong!r} after {element}, which is no setting NAME=VALUE"
+    mosaics = [number for number, part in enumerate(parts) if part.startswith("video/x-bayer")]
+    if mosaics and "bayer2rgb" not in [part.split()[0] for part in parts[mosaics[-1] :]]:
+        return f"sends a mosaic of colours, which is no image: add bayer2rgb ! videoconvert after {parts[mosaics[-1]]}"
     return None if len(parts) > 1 else f"must name an image source, then ! {END}"
 
 
@@ -59,6 +65,7 @@ if TYPE_CHECKING:
 
 FLUSHED = 8  # frames that may wait in a driver's queue
 WAIT = 5.0  # s without a frame after which a camera counts as gone
+OPENING, READING_TIME = 10_000, 5_000  # ms: a pipeline or network camera to open; a network camera to send a frame
 MANUAL = 1  # V4L2_EXPOSURE_MANUAL
 BLOCKED = 2e-3  # s; a frame that was not waiting in the queue takes longer to come
 UVC_STEP = 1e-4  # s; V4L2's exposure_time_absolute counts these
@@ -72,7 +79,7 @@ class VideoSource:
     def __init__(
         self,
         name: str,
-        capture: VideoCapture,
+        capture: VideoCapture | GuardedCapture,
         clock: Clock,
         size: tuple[int, int],
         uvc: bool = True,
@@ -151,6 +158,11 @@ class VideoSource:
         good, image = self._capture.retrieve()
         if not good or image is None:
             raise CameraError(f"camera {self.name!r}: a frame could not be decoded")
+        if image.ndim == 3 and image.shape[2] != 3:
+            raise CameraError(
+                f"camera {self.name!r} gives {image.shape[2]} values for each pixel, neither grey nor colours; put "
+                f"videoconvert ! video/x-raw,format=BGR before {END}"
+            )
         if (image.shape[1], image.shape[0]) != self._size:
             raise CameraError(
                 f"camera {self.name!r} gives {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
@@ -175,50 +187,102 @@ class VideoSource:
         self._capture.release()
 
 
-def open_opencv_camera(
-    name: str,
-    kind: str,
-    device_or_pipeline: str,
-    clock: Clock,
-    size: tuple[int, int],
-    settings: CaptureSettings = AS_IT_IS,
-) -> VideoSource:
-    """Open an OpenCV camera of kind "uvc" (device number or path) or "gstreamer" (pipeline ending in appsink).
+class GuardedCapture:
+    """A cv2.VideoCapture of GStreamer, which may wait for a frame without an end. After WAIT s it counts as gone; the
+    call that waits stays in a thread that ends with the process, and nothing is called any more.
+    """
 
-    size : (width, height) px, as rig.toml has them; settings : of a UVC camera. Raises CameraError where it does not
-    open or does not take a setting, and for a pipeline that may write (see rig.driving.cameras.opencv_camera).
+    def __init__(self, capture: VideoCapture) -> None:
+        self._capture, self._gone = capture, False
+
+    def grab(self) -> bool:
+        """Whether a frame came."""
+        found = None if self._gone else _result_within(WAIT, self._capture.grab)
+        self._gone = found is None
+        return bool(found)
+
+    def retrieve(self) -> tuple[bool, Integers | None]:
+        """Whether the frame was decoded, and the frame."""
+        return cast("tuple[bool, Integers | None]", self._capture.retrieve())
+
+    def get(self, control: int) -> float:
+        """A control's value."""
+        return float(self._capture.get(control))
+
+    def set(self, control: int, value: float) -> bool:
+        """Whether a control was set."""
+        return bool(self._capture.set(control, value))
+
+    def release(self) -> None:
+        """Let go of the pipeline."""
+        if not self._gone:
+            self._capture.release()
+
+
+T = TypeVar("T")
+
+
+def _result_within(seconds: float, call: Callable[[], T]) -> T | None:
+    """What a call returns, None where it takes longer."""
+    results: SimpleQueue[T] = SimpleQueue()
+    threading.Thread(target=lambda: results.put(call()), daemon=True).start()
+    try:
+        return results.get(timeout=seconds)
+    except Empty:
+        return None
+
+
+def open_gstreamer_camera(name: str, pipeline: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
+    """Open a GStreamer pipeline that ends in appsink.
+
+    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that
+    may write (see gstreamer_pipeline_problem).
     """
     import cv2
 
-    if kind == "uvc":
-        device = int(device_or_pipeline) if device_or_pipeline.isdigit() else device_or_pipeline
-        capture = cv2.VideoCapture(device, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
-        if settings.pixel_format:  # before the size, which is one of this format's
-            code = cv2.VideoWriter.fourcc(*settings.pixel_format)
-            if not capture.set(cv2.CAP_PROP_FOURCC, code) or int(capture.get(cv2.CAP_PROP_FOURCC)) != code:
-                capture.release()
-                raise CameraError(f"camera {name!r} does not send {settings.pixel_format}")
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    else:
-        wrong = gstreamer_pipeline_problem(device_or_pipeline)
-        if wrong is not None:
-            raise CameraError(f"camera {name!r}: gstreamer:{device_or_pipeline} {wrong}")
-        if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):  # others list it as a plug-in that is not there
-            raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
-        capture = cv2.VideoCapture(device_or_pipeline, cv2.CAP_GSTREAMER)
+    wrong = gstreamer_pipeline_problem(pipeline)
+    if wrong is not None:
+        raise CameraError(f"camera {name!r}: gstreamer:{pipeline} {wrong}")
+    if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):  # others list it as a plug-in that is not there
+        raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
+    # of a pipeline without one of its elements, OpenCV waits for the first frame without an end
+    capture = _result_within(OPENING / 1e3, lambda: cv2.VideoCapture(pipeline, cv2.CAP_GSTREAMER))
+    if capture is None or not capture.isOpened():
+        raise CameraError(
+            f"camera {name!r}: gstreamer:{pipeline} cannot be opened; `gst-launch-1.0 "
+            f"{pipeline.rpartition('!')[0].strip()} ! fakesink` states why"
+        )
+    return VideoSource(name, GuardedCapture(capture), clock, size, uvc=False)
+
+
+def open_uvc_camera(
+    name: str, place: str, clock: Clock, size: tuple[int, int], settings: CaptureSettings = AS_IT_IS
+) -> VideoSource:
+    """Open a UVC camera by its device's number or path.
+
+    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open or does not take a
+    setting.
+    """
+    import cv2
+
+    device = int(place) if place.isdigit() else place
+    capture = cv2.VideoCapture(device, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
+    if settings.pixel_format:  # before the size, which is one of this format's
+        code = cv2.VideoWriter.fourcc(*settings.pixel_format)
+        if not capture.set(cv2.CAP_PROP_FOURCC, code) or int(capture.get(cv2.CAP_PROP_FOURCC)) != code:
+            capture.release()
+            raise CameraError(f"camera {name!r} does not send {settings.pixel_format}")
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     if not capture.isOpened():
         capture.release()
-        raise CameraError(f"camera {name!r}: {kind}:{device_or_pipeline} cannot be opened; is it there, and free?")
+        raise CameraError(f"camera {name!r}: uvc:{place} cannot be opened; is it there, and free?")
     try:
-        return VideoSource(name, capture, clock, size, kind == "uvc", settings)
+        return VideoSource(name, capture, clock, size, uvc=True, settings=settings)
     except CameraError:
         capture.release()
         raise
-
-
-OPENING, READING_TIME = 10_000, 5_000  # ms that a network camera may take to answer and to send a frame
 
 
 def open_network_camera(name: str, url: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
