@@ -245,14 +245,16 @@ def open_gstreamer_camera(name: str, pipeline: str, clock: Clock, size: tuple[in
         raise CameraError(f"camera {name!r}: gstreamer:{pipeline} {wrong}")
     if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):  # others list it as a plug-in that is not there
         raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
+    newest = pipeline if re.search(rf"{END}.*\sdrop=", pipeline) else f"{pipeline} drop=true"  # else old frames wait
     # of a pipeline without one of its elements, OpenCV waits for the first frame without an end
-    capture = _result_within(OPENING / 1e3, lambda: cv2.VideoCapture(pipeline, cv2.CAP_GSTREAMER))
+    capture = _result_within(OPENING / 1e3, lambda: cv2.VideoCapture(newest, cv2.CAP_GSTREAMER))
     if capture is None or not capture.isOpened():
         raise CameraError(
             f"camera {name!r}: gstreamer:{pipeline} cannot be opened; `gst-launch-1.0 "
             f"{pipeline.rpartition('!')[0].strip()} ! fakesink` states why"
         )
-    return VideoSource(name, GuardedCapture(capture), clock, size, uvc=False)
+    # its times are where the pipeline stands, not when the frame was exposed, which is earlier by some frames
+    return VideoSource(name, GuardedCapture(capture), clock, size, uvc=False, stamped=False)
 
 
 def open_uvc_camera(
