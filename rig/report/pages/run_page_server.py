@@ -268,7 +268,10 @@ class _Handler(BaseHTTPRequestHandler):
         if self.client_address[0] != HOST:
             reason = "only this computer"
         elif self.headers.get("Host") not in here:
-            reason = "another host was requested"
+            reason = (
+                f"another host was requested: this page is http://{HOST}:{port} alone; from another computer forward "
+                f"the port under the same number, by ssh -L {port}:{HOST}:{port}"
+            )
         elif (post and origin is None) or (
             origin is not None and origin not in tuple(f"http://{name}" for name in here)
         ):

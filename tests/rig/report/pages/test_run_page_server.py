@@ -1,5 +1,6 @@
 """The page of a run: what may ask is answered, everything else is refused, and a browser shows what the run says."""
 
+import contextlib
 import http.client
 import json
 import os
@@ -9,6 +10,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
 from importlib import resources
 
@@ -123,6 +125,72 @@ def test_without_the_token_or_with_another_all_is_refused(page, path):
     wrong = path + ("&" if "?" in path else "?") + "token=" + page.token[:-1] + ("A" if page.token[-1] != "A" else "B")
     assert ask(page, wrong, token=False)[0] == 403
     assert ask(page, path + ("&" if "?" in path else "?") + "token=%ff%fe", token=False)[0] == 403
+
+
+@contextlib.contextmanager
+def forwarded(page, address):
+    """What `ssh -L` does: connections to an address go to the page's; the port that listens."""
+
+    def pump(source, target):
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                target.sendall(data)
+        with contextlib.suppress(OSError):
+            target.shutdown(socket.SHUT_WR)
+
+    def serve():
+        with contextlib.suppress(OSError):
+            while True:
+                near = listener.accept()[0]
+                far = socket.create_connection(("127.0.0.1", page.port))
+                for pair in ((near, far), (far, near)):
+                    ends.append(threading.Thread(target=pump, args=pair))
+                    ends[-1].start()
+                open_ones.extend((near, far))
+
+    ends, open_ones = [], []
+    with socket.create_server(address) as listener:
+        ends.append(threading.Thread(target=serve))
+        ends[-1].start()
+        try:
+            yield listener.getsockname()[1]
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            ends[0].join()
+            for one in open_ones:
+                with contextlib.suppress(OSError):
+                    one.shutdown(socket.SHUT_RDWR)
+            for one in ends:
+                one.join()
+            for one in open_ones:
+                one.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="127.0.0.2 stands for the other computer, which Linux alone has")
+def test_a_forwarded_port_shows_the_page_under_the_same_number_alone(page):
+    page.show(lambda: EVENT, {"cam0": lambda: b"\xff\xd8jpeg"})
+
+    def asked(host, port, path, method="GET"):
+        connection = http.client.HTTPConnection(host, port, timeout=10)
+        at = f"127.0.0.1:{port}"  # as the other computer's browser has it
+        connection.request(
+            method, f"{path}?token={page.token}&camera=cam0", headers={"Host": at, "Origin": f"http://{at}"}
+        )
+        answer = connection.getresponse()
+        found = answer.status, answer.readline() if path == "/events" else answer.read()
+        connection.close()
+        return found
+
+    with forwarded(page, ("127.0.0.2", page.port)) as port:
+        assert port == page.port
+        assert [asked("127.0.0.2", port, path)[0] for path in ("/", "/page.js", "/image")] == [200] * 3
+        assert b"moving to step 3" in asked("127.0.0.2", port, "/events")[1]
+        assert asked("127.0.0.2", port, "/stop", "POST")[0] == 200 and page.presses == [True]
+    with forwarded(page, ("127.0.0.1", 0)) as port:
+        for path, method in (("/", "GET"), ("/events", "GET"), ("/stop", "POST")):
+            status, text = asked("127.0.0.1", port, path, method)
+            assert status == 403 and f"by ssh -L {page.port}:127.0.0.1:{page.port}" in text.decode()
+    assert page.presses == [True]
 
 
 def test_another_host_or_site_is_refused_even_with_the_token(page):
