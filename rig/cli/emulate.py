@@ -130,7 +130,7 @@ def _emulate(arguments: Namespace) -> None:
     )
     emulator = load_emulator(arguments.design, options, clock)
     wire = (
-        controller_emulator_opening_and_ports.Tcp(_address(arguments.tcp, "--tcp"))
+        controller_emulator_opening_and_ports.tcp_wire(emulator, _address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
         else controller_emulator_opening_and_ports.Terminal(arguments.link)
     )

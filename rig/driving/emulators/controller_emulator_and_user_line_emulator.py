@@ -42,6 +42,7 @@ class Emulator:
         self.replugged = 0
         self._cut_until: float | None = None
         self._in = b""
+        self._unread = b""  # what came out while bytes came in
         self._out: list[tuple[float, int, bytes | Callable[[], None], int]] = []
         self._number = itertools.count()
         self._last = -np.inf  # s, when the last byte queued goes out
@@ -100,7 +101,7 @@ class Emulator:
         """Bytes that come in. Raises LinkLost while the line is cut."""
         if not self.plugged:
             raise LinkLost("unplugged")
-        self._run_due()
+        self._unread += self._run_due()
         received = bytearray()
         for byte in data:
             if not self.at_once(byte) and len(received) < self.buffer:  # what comes in one go; in between it is read
@@ -114,11 +115,12 @@ class Emulator:
         """Bytes that have come out by now. Raises LinkLost while the line is cut."""
         if not self.plugged:
             raise LinkLost("unplugged")
-        return self._run_due()
+        out, self._unread = self._unread + self._run_due(), b""
+        return out
 
     def next(self) -> float | None:
         """s when something will come out or happen, None for never."""
-        return self._out[0][0] if self._out else None
+        return self.now if self._unread else self._out[0][0] if self._out else None
 
     def at_once(self, byte: int) -> bool:
         """Whether a byte acts at once and is no part of a line; if so, it has acted."""
@@ -172,7 +174,7 @@ class Emulator:
     def unplug(self, seconds: float = UNPLUGGED) -> None:
         """Cut the line for a while; what was under way is lost."""
         self._cut_until = self.now + seconds
-        self._in = b""
+        self._in = self._unread = b""
         self._out = [each for each in self._out if not isinstance(each[2], bytes)]
         heapq.heapify(self._out)
 

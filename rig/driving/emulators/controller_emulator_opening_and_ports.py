@@ -22,6 +22,7 @@ from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.native_strut_protocol import Struts
+from rig.driving.emulators.newport_function_server import FunctionServer
 from rig.driving.emulators.newport_hxp import NewportHexapod
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
@@ -291,6 +292,11 @@ class Tcp:
     def close(self) -> None:
         self.cut()
         self._listening.close()
+
+
+def tcp_wire(emulator: Emulator, address: tuple[str, int]) -> Wire:
+    """The wire on which an emulator is served over TCP. Raises RigError where it cannot listen at (host, port)."""
+    return FunctionServer(address) if isinstance(emulator, NewportHexapod) else Tcp(address)
 
 
 def serve_emulator(
