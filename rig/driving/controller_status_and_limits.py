@@ -192,6 +192,7 @@ class PositionReport:
 TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
 ANEW = f"the controller has restarted since the last contact; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
+UNIT = (500.0, 2000.0)  # times by which a length is off where millimetres were taken for metres, and the like
 CANNOT_HOME = (
     "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
     "rig jog --unlock, "
@@ -204,6 +205,18 @@ _BY_ACTIVITY = {
     "homing": "wait until it is home, or rig stop",
     "moving": "wait until it is at rest, or rig stop",
 }
+
+
+def unit_hint(lengths: Floats, expected: Floats) -> str:
+    """Hint after "; " where lengths (n,) m are about 1000 times too large or small; "" where they are not.
+
+    expected : (n,) or (n, 2) m, of which the largest counts
+    """
+    size, usual = float(np.abs(lengths).max()), float(np.abs(expected).max())
+    for ratio, word in ((size, usual), "large"), ((usual, size), "small"):
+        if UNIT[0] * ratio[1] < ratio[0] < UNIT[1] * ratio[1]:
+            return f"; about {ratio[0] / ratio[1]:.0f} times too {word}: units?"
+    return ""
 
 
 def operator_advice(activity: str, can_home: bool, homing_required: bool = False) -> str:

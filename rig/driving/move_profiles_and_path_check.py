@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport
+from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
@@ -111,13 +111,19 @@ def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> F
 
 
 def require_safe_path(
-    start: Floats, target: Floats, mechanism: Hexapod | Planar2, singularity_margin: float, max_step: float | None
+    start: Floats,
+    target: Floats,
+    mechanism: Hexapod | Planar2,
+    singularity_margin: float,
+    max_step: float | None,
+    zero: Floats | float = 0.0,
 ) -> None:
     """Raise Unreachable unless the straight path is safe.
 
     Ranges, largest step, workspace, singularities.
     start, target : (n,) m, start as read back, which may lie outside the range as long as the way leads inwards
     singularity_margin : least singular value of the Jacobian as a share of that at home; max_step : m, or None
+    zero : (n,) m, lengths where the controller counts 0, for a hint at its units
     """
     step = np.abs(target - start).max()
     if max_step is not None and step > max_step:
@@ -137,7 +143,8 @@ def require_safe_path(
         poses = module.forward(path, mechanism)
     except NotConverged as error:
         k = int(np.min(error.index))
-        where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
+        hint = unit_hint(start - zero, mechanism.strut_range.T - zero)
+        where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE + hint] if k == 0 else [])]
         raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
     least = _dexterity(poses, path, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
     if least.min() < singularity_margin:

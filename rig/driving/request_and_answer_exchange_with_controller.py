@@ -7,7 +7,7 @@ Every byte sent and received can be traced.
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol as Interface
 from typing import TextIO, TypeVar
 
@@ -35,12 +35,17 @@ class Port(Interface):
         """Close the port; may be called twice."""
 
 
+def shown_bytes(sent: Sequence[bytes]) -> str:
+    """What was sent, as a message shows it: each write as a Python text, without the end of its line."""
+    return ", ".join(repr(data.decode("latin-1").strip("\r\n")) for data in sent)
+
+
 class Link:
     """A controller at the other end of a port.
 
     protocol : speaks for it; opener : makes a Port anew each time; clock : Clock; timeout : s, for an answer
     trace : takes a line per write and read, with the time, or None
-    events : (t, text) of what the controller said unasked
+    events : (t, text) of what the controller said unasked; sent : the requests of the last dialogue
     """
 
     def __init__(
@@ -53,6 +58,7 @@ class Link:
     ) -> None:
         self.protocol, self.clock, self.timeout = protocol, clock, timeout
         self.events: deque[tuple[float, str]] = deque(maxlen=EVENTS)
+        self.sent: list[bytes] = []
         self._opener, self._trace = opener, trace
         self._port: Port | None = None
         self._rest = b""
@@ -97,6 +103,7 @@ class Link:
         (unless not stoppable).
         """
         with self._lock:
+            self.sent = []
             try:
                 exchange = next(dialogue)
                 while True:
@@ -120,6 +127,7 @@ class Link:
         self._read(self.clock.now())  # what came unasked is not the answer
         self._rest = b""
         if exchange.data:
+            self.sent.append(exchange.data)
             self._write(exchange.data)
         lines: list[str] = []
         end = self.clock.now() + (self.timeout if exchange.timeout is None else exchange.timeout)

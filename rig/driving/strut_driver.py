@@ -27,7 +27,7 @@ from rig.driving.controller_status_and_limits import (
 from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, straight_move_segment
 from rig.driving.ports_and_numbered_frames import open_port
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Dialogue, Segment, State, Verdict
-from rig.driving.request_and_answer_exchange_with_controller import Link, Port
+from rig.driving.request_and_answer_exchange_with_controller import Link, Port, shown_bytes
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -185,7 +185,7 @@ class Driver:
         """
         lengths = move_profiles_and_path_check.require_lengths_in_range(lengths, self.mechanism)
         move_profiles_and_path_check.require_safe_path(
-            start, lengths, self.mechanism, self.controller.margin, self.controller.max_step
+            start, lengths, self.mechanism, self.controller.margin, self.controller.max_step, self.controller.zero
         )
         return lengths
 
@@ -274,7 +274,7 @@ class Driver:
     ) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
         if verdict.accepted is False:
-            raise ControllerFault(f"the move was refused: {verdict.reason}")
+            raise ControllerFault(f"the move was refused: {verdict.reason}; sent: {shown_bytes(self.link.sent)}")
         begun = since = self.clock.now()
         closest = before = np.inf
         while True:
@@ -288,6 +288,9 @@ class Driver:
                 self._same()
             if state.fault or state.activity in ("alarm", "off", "held", "homing"):
                 raise ControllerFault(f"while moving: {self._trouble(state)}{self._lately(begun)}")
+            if self._homed and state.homed is False:
+                self._known = False
+                raise PositionLost(f"while moving: it is no longer homed ({state.controller_text}); {TRUST}")
             if (
                 state.activity == "idle"
                 and off <= self.controller.tolerance

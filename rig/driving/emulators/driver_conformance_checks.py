@@ -8,9 +8,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from rig.array_and_json_types import Floats
+from rig.driving.controller_status_and_limits import unit_hint
+from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
 from rig.driving.emulators.fault_trials import (
@@ -22,6 +26,9 @@ from rig.driving.emulators.fault_trials import (
     move_execution_count,
 )
 from rig.driving.move_profiles_and_path_check import straight_move_segment
+from rig.driving.protocols.protocol_interface_and_user_line_protocol import State
+from rig.driving.request_and_answer_exchange_with_controller import shown_bytes
+from rig.driving.strut_driver import Driver
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -34,6 +41,10 @@ RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line"
 ON_RESETS = ("stale-alarm",)  # faults of controllers that are reset, which lines of text need not have
 ONCE, EACH = 4, 12  # trials with a fault at the first move; moves with the fault at one in five
 STEP, RADIUS = 8e-3, 0.3  # m, of a move; of the hexapod where no rig.toml is given
+ZERO_STEP = 1e-3  # m between the zeros of its struts, about the middle of their ranges: positions of both signs occur
+SLOWLY = 0.25  # share of full speed, which a move takes that the axes' own limits do not slow down
+FASTEST, SLOWEST, RAMPS = 0.5, 3.0, 1.0  # times a segment's duration that its move may take, and s more for its ramps
+QUESTIONS = 60  # of one state, at most
 USUAL, FAST, SLOW = (0.01, 0.1), (0.1, 5.0), (2e-4, 0.1)  # m/s, m/s^2; many moves shall take little time, homing long
 
 
@@ -57,6 +68,7 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
     checks: list[tuple[str, Callable[[Design, str, int], str]]] = [
         ("greets, homes and moves", _moves),
         ("a move before homing", _refused),
+        ("is idle where it stands", _idle_where_it_stands),
         ("stops while it moves", _stops_moving),
         ("stops while it homes", _stops_homing),
         ("restarted between two moves", _restarted),
@@ -82,7 +94,10 @@ def conformance_design(path: Path | None) -> Design:
     """
     if path is None:
         text = new_rig_toml(LayoutOptions(radius=RADIUS))
-        return design_of_entries(toml_entries(text, Path("hexapod.toml")))
+        design = design_of_entries(toml_entries(text, Path("hexapod.toml")))
+        middle = require_struts(design.mechanism).strut_range.mean(axis=1)
+        zero = middle + ZERO_STEP * (np.arange(len(middle)) - (len(middle) - 1) / 2)
+        return replace(design, controller=replace(design.driver(), zero=zero))
     design = load_design(path)
     refuse_programs_of_untrusted_rig_toml(path, design)
     design.driver()
@@ -101,12 +116,36 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
     name = driver.link.protocol.name
     driver.open()
     driver.home()
-    for k in range(3):
-        target = home + STEP * (-0.5) ** k * np.cos(np.arange(len(home)))
-        driver.move(target)
+    _require_true_lengths(driver, emulator)
+    for step, share in ((STEP, 1.0), (-STEP / 2, 1.0), (STEP / 4, 1.0), (-STEP, SLOWLY)):
+        target = home + step * np.cos(np.arange(len(home)))
+        duration = straight_move_segment(driver.lengths(), target, share, driver.controller, driver.mechanism).duration
+        try:
+            driver.move(target, share)
+        except MotionError:
+            _require_true_lengths(driver, emulator)
+            raise
         off = float(np.abs(emulator.machine.axes.at(clock.now()) - target).max())
         _require(off <= ARRIVED, f"a move ended {off * 1e3:.4f} mm from its goal and was reported as done")
+        took = emulator.machine.axes.until - emulator.machine.executed[-1].t
+        _require(
+            FASTEST * duration <= took <= SLOWEST * duration + RAMPS,
+            f"the last move, {shown_bytes([clock.move_sent])}, took {took:.2f} s, and {duration:.2f} s were expected "
+            "(segment.duration): are its speed or duration in the controller's units?",
+        )
     return f"{name}: {len(emulator.machine.executed)} moves"
+
+
+def _require_true_lengths(driver: Driver, emulator: Emulator) -> None:
+    """Raise RigError where the lengths that a driver reads are not those of its homed emulator."""
+    zero = driver.controller.zero
+    read, true = driver.lengths() - zero, emulator.machine.axes.at(emulator.now) - zero
+    agrees = bool(np.abs(read - true).max() <= driver.controller.tolerance)
+    _require(
+        agrees or emulator.busy or not emulator.machine.homed,
+        f"`state` gives {read.round(9).tolist()} m, and the axes stand at {true.round(9).tolist()} m"
+        f"{unit_hint(read, true)}",
+    )
 
 
 def _refused(design: Design, protocol: str, seed: int) -> str:
@@ -115,6 +154,7 @@ def _refused(design: Design, protocol: str, seed: int) -> str:
     home = home_lengths(mechanism)
     clock.allow(LONGEST)
     driver.open()
+    _require_homed_as_emulated(driver, emulator, "before it was homed")
     segment = straight_move_segment(home, home + STEP, 1.0, driver.controller, mechanism)
     verdict = driver.link.run(driver.link.protocol.move(segment))
     if verdict.accepted:
@@ -122,6 +162,48 @@ def _refused(design: Design, protocol: str, seed: int) -> str:
     understood = verdict.accepted is False and bool(verdict.reason)
     _require(understood, "it was refused, and the answer fits no pattern as a whole, as `refused`, with a reason")
     return f"refused: {verdict.reason}"
+
+
+def _require_homed_as_emulated(driver: Driver, emulator: Emulator, when: str) -> State:
+    """The State that a driver reads. Raises RigError where it is homed, and its emulator is not."""
+    state = driver.link.run(driver.link.protocol.state())
+    _require(emulator.machine.homed or state.homed is not True, f"`state` has homed True {when}")
+    return state
+
+
+def _idle_where_it_stands(design: Design, protocol: str, seed: int) -> str:
+    """Moves that end between two requests of one `state`: "idle" must not go with a position from before."""
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
+    home, axes = home_lengths(require_struts(design.mechanism)), emulator.machine.axes
+    driver.open()
+    driver.home()
+    clock.allow(QUESTIONS * LONGEST)
+    asked = 0
+
+    def end_of_move() -> None:
+        nonlocal asked
+        asked += 1
+        if asked == late:
+            clock.sleep(max(axes.until - clock.now(), 0.0) + 0.1)
+
+    for late in range(2, QUESTIONS + 2):
+        target = home + STEP * (-1) ** late * np.cos(np.arange(len(home)))
+        segment = straight_move_segment(axes.at(clock.now()), target, 1.0, driver.controller, driver.mechanism)
+        driver.link.run(driver.link.protocol.move(segment))
+        clock.sleep(0.3)
+        asked, clock.before_write = 0, end_of_move
+        state = driver.link.run(driver.link.protocol.state())
+        clock.before_write = lambda: None
+        if asked < late:
+            return "by one request" if asked == 1 else f"by {asked} requests"
+        off = float(np.abs(cast(Floats, state.positions) + driver.controller.zero - axes.at(clock.now())).max())
+        _require(
+            state.activity != "idle" or off <= driver.controller.tolerance,
+            f"`state` is idle, with positions {1e3 * off:.3f} mm from where the axes stand: they are asked for before "
+            "the status, and the move ended in between; ask for the status first, or for both at once",
+        )
+        clock.sleep(max(axes.until - clock.now(), 0.0) + 0.1)
+    raise RigError(f"`state` takes more than {QUESTIONS} requests")
 
 
 def _stops_moving(design: Design, protocol: str, seed: int) -> str:
@@ -168,7 +250,7 @@ def _stops_homing(design: Design, protocol: str, seed: int) -> str:
     until = emulator.machine.axes.until - clock.now()
     _require(until < 0.5, f"the axes home on for {until:.1f} s after a stop")
     _require(not driver.position_known, "a homing that was stopped is taken for done")
-    return ""
+    return "at rest, and not homed"
 
 
 def _restarted(design: Design, protocol: str, seed: int) -> str:
@@ -179,6 +261,9 @@ def _restarted(design: Design, protocol: str, seed: int) -> str:
     driver.move(home + 1e-3)
     emulator.power_cycle()
     clock.allow(LONGEST)
+    same = driver.link.run(driver.link.protocol.fence())
+    fallen = _require_homed_as_emulated(driver, emulator, "after a restart").homed is False
+    _require(not same or fallen, "a restart is not seen: identity is the same and homed has not fallen")
     try:
         driver.move(home)
     except (PositionLost, ControllerFault) as error:
@@ -188,7 +273,8 @@ def _restarted(design: Design, protocol: str, seed: int) -> str:
     _require(len(emulator.machine.executed) == 1, "it moved after a restart, with its position lost")
     bring_home(driver, emulator)
     driver.move(home)
-    return found.splitlines()[0]
+    seen = " and ".join(["identity"] * (not same) + ["homed"] * fallen)
+    return f"shown by {seen}: {found.splitlines()[0]}"
 
 
 def _cut(design: Design, protocol: str, seed: int) -> str:

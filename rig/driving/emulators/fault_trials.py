@@ -6,6 +6,7 @@ The emulator, which counts what it carried out, is the judge.
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, emulator_of_design, home_lengths
 from rig.driving.emulators.emulated_axes_and_faults import Faults, parse_faults
+from rig.driving.request_and_answer_exchange_with_controller import shown_bytes
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, RigError
 from rig.model.design import Design
@@ -29,12 +31,19 @@ RANGE = 2e-3  # m from home within which the moves go
 
 
 class TrialClock(SimulatedClock):
-    """A simulated clock that calls `action` at `action_time` (s), and breaks off what waits too long or too often."""
+    """A simulated clock that calls `action` at `action_time` (s), and breaks off what waits too long or too often.
+
+    before_write : called before bytes go to the emulator; move_sent : those that began the last move
+    progress : words on the last move, for what is broken off
+    """
 
     def __init__(self, start: float = 1000.0) -> None:
         super().__init__(start)
         self.action_time = np.inf
         self.action: Callable[[], None] = lambda: None
+        self.before_write: Callable[[], None] = lambda: None
+        self.move_sent = b""
+        self.progress: Callable[[], str] = str
         self.allow(NEVER_ENDS)
 
     def allow(self, seconds: float) -> None:
@@ -50,15 +59,26 @@ class TrialClock(SimulatedClock):
         self._waits -= 1
         if self.now() > self._deadline or self._waits < 0:
             self.allow(self._allowed)  # for what stops the axes then
-            raise RigError("it waits without an end")
+            raise RigError(f"it waits without an end{self.progress()}")
 
 
 class TrialPort(EmulatorPort):
-    """An EmulatorPort whose writes take a moment, so that time passes for who only asks and is answered at once."""
+    """An EmulatorPort whose writes take a moment, so that time passes for who only asks and is answered at once.
+
+    emulator, clock : as of an EmulatorPort
+    """
+
+    def __init__(self, emulator: Emulator, clock: TrialClock) -> None:
+        super().__init__(emulator, clock)
+        self._trial = clock
 
     def write(self, data: bytes) -> None:
-        self._clock.sleep(WRITING)
+        self._trial.before_write()
+        self._trial.sleep(WRITING)
+        moves = len(self._emulator.machine.executed)
         super().write(data)
+        if len(self._emulator.machine.executed) > moves:
+            self._trial.move_sent = data
 
 
 @dataclass(slots=True)
@@ -101,7 +121,22 @@ def emulated_driver_with_emulator_and_clock(
     design = replace(design, controller=replace(design.driver(), **stated))
     faults = Faults(sum((parse_faults(text) for text in fault_texts), ()), np.random.default_rng(seed))
     emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
+    clock.progress = partial(_progress_of_last_move, emulator, clock)
     return Driver(design, clock, lambda: TrialPort(emulator, clock)), emulator, clock
+
+
+def _progress_of_last_move(emulator: Emulator, clock: TrialClock) -> str:
+    """How far the last move is, with its line and the time that it takes at full speed; "" where none was begun."""
+    machine = emulator.machine
+    if not machine.executed:
+        return ""
+    last, now = machine.executed[-1], clock.now()
+    travel, left = (np.abs(last.target - machine.axes.at(t)).max() for t in (last.t, now))
+    seconds = (np.abs(last.target - machine.axes.at(last.t)) / machine.axes.speed).max()
+    return (
+        f": the last move, {shown_bytes([clock.move_sent])}, is to take {seconds:.2f} s at full speed; "
+        f"{now - last.t:.1f} s after its begin {1e3 * (travel - left):.3f} of {1e3 * travel:.3f} mm are done"
+    )
 
 
 def move_counts_with_faults(

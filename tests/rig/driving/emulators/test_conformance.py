@@ -50,7 +50,7 @@ def hexapod():
 @pytest.mark.parametrize("protocol", [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG)) for p in EVERY_PROTOCOL])
 def test_every_protocol_passes(hexapod, protocol):
     checks = list(check_conformance(hexapod, protocol, 100))
-    assert len(checks) == 27 and [(check.name, check.problem) for check in checks if check.problem] == []
+    assert len(checks) == 28 and [(check.name, check.problem) for check in checks if check.problem] == []
 
 
 @pytest.mark.slow
@@ -75,7 +75,7 @@ def test_a_new_protocol_is_written_and_tested(tmp_path, monkeypatch, capsys):
     assert main(["emulate", "--new", "mine"]) == 0
     assert (tmp_path / "mine.py").read_text() == TEMPLATE and len(TEMPLATE.splitlines()) <= 60
     assert main(["emulate", "--conform", "--protocol", "mine.py", "--moves", "20"]) == 0
-    assert "all 27 checks passed" in capsys.readouterr().out
+    assert "all 28 checks passed" in capsys.readouterr().out
     (tmp_path / "bad.py").write_text(TEMPLATE.replace('urgent_stop = b"!"', 'urgent_stop = b"?"'))
     assert main(["emulate", "--conform", "--protocol", "bad.py", "--moves", "20"]) == 1
     output = capsys.readouterr()
