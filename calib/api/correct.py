@@ -102,14 +102,14 @@ class CorrectionResult(OneLineRepr):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """SI units of the values of a command; none of what MOV takes, which is in mm and degrees."""
+        """SI units of the values of a command; none of what a controller takes, which is in mm and degrees."""
         if self.pose_frames is None:
             return mechanisms.axis_units(self.calibration.correction.nominal)
         return ("",) * 6 if self.pose_frames.mm_and_degrees else POSE_UNITS
 
     def commands(self, values: Floats, pose: Integers) -> Floats:
         """(m, columns) to command for values (m, axes) m or rad, near the wanted poses of indices pose (m,): the same,
-        or poses (m, rad; for GCS mm, degrees) for a controller that takes these. Raises NotConverged where no pose
+        or poses (m, rad; or X .. W in mm, degrees) for a controller that takes these. Raises NotConverged where no pose
         gives the lengths.
         """
         if self.pose_frames is None:

@@ -88,11 +88,11 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--as",
         dest="kind",
-        choices=("lengths", "poses", "gcs"),
+        choices=("lengths", "poses", "gcs", "hxp"),
         default="lengths",
         help="what the controller takes: axis values (the default), or poses of a hexapod, frame,x,y,z,rx,ry,rz: "
-        "its own nominal kinematics, that of rig.toml, makes the corrected lengths of them; gcs: "
-        "the same as MOV takes it, frame,X,Y,Z,U,V,W, mm and degrees",
+        "its own nominal kinematics, that of rig.toml, makes the corrected lengths of them; gcs, hxp: "
+        "the same as MOV of PI and HexapodMoveAbsolute of Newport take it, frame,X,Y,Z,U,V,W, mm and degrees",
     )
     for name, text in (
         ("work", "frame in the base frame, x,y,z,rx,ry,rz, m and rad"),
@@ -100,7 +100,7 @@ def arguments(parser: ArgumentParser) -> None:
         ("pivot", "point in the tool frame, x,y,z, m, that a turn leaves where it is (SPI)"),
     ):
         parser.add_argument(
-            f"--{name}", metavar="NUMBERS", help=f"of --as poses and gcs: the controller's {name} {text}"
+            f"--{name}", metavar="NUMBERS", help=f"of --as poses, gcs and hxp: the controller's {name} {text}"
         )
     parser.add_argument(
         "--units",
@@ -202,6 +202,8 @@ def _pose_frames(arguments: Namespace, units: LengthAndAngleUnits) -> PoseFrames
         if any(text is not None for text in given.values()):
             raise RigError("--work, --tool and --pivot apply to --as poses")
         return None
+    if arguments.kind == "hxp" and given["pivot"] is not None:
+        raise RigError("--pivot: an HXP turns about the origin of its Tool coordinate system; state that as --tool")
     numbers = {}
     for name, text in given.items():
         count = 3 if name == "pivot" else 6
@@ -213,7 +215,7 @@ def _pose_frames(arguments: Namespace, units: LengthAndAngleUnits) -> PoseFrames
             raise RigError(f"--{name} takes {count} numbers separated by commas, {units}, not {text!r}")
         numbers[name] = units.si(np.array(numbers[name]), ["m"] * 3 + ["rad"] * (count - 3)).tolist()
     work, tool = (pose(numbers[name][:3], numbers[name][3:]) for name in ("work", "tool"))
-    return PoseFrames(work, tool, np.array(numbers["pivot"]), arguments.kind == "gcs")
+    return PoseFrames(work, tool, np.array(numbers["pivot"]), arguments.kind in ("gcs", "hxp"))
 
 
 def _start(text: str, axis_units: tuple[str, ...], units: LengthAndAngleUnits) -> Floats | None:

@@ -144,8 +144,19 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
     round_trip = frames.pose_of_command(pose_of_controller_values(values))
     assert columns == "frame,X,Y,Z,U,V,W"
     np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
+    columns, newport = written("hxp", "--tool", "0,0,0.1,0,0,0", "--work", "0,0,0.2,0,0,0")
+    frames = PoseFrames(work=pose([0, 0, 0.2], [0, 0, 0]), tool=pose([0, 0, 0.1], [0, 0, 0]))
+    round_trip = frames.pose_of_command(pose_of_controller_values(newport))
+    assert columns == "frame,X,Y,Z,U,V,W"
+    np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
+    np.testing.assert_allclose(newport[:, 3:], values[:, 3:], atol=1e-9)
     capsys.readouterr()
-    for options in (["--pivot", "0,0,1"], ["--as", "gcs", "--work", "0,0,1"], ["--as", "poses", "--tool", "a"]):
+    for options in (
+        ["--pivot", "0,0,1"],
+        ["--as", "hxp", "--pivot", "0,0,1"],
+        ["--as", "gcs", "--work", "0,0,1"],
+        ["--as", "poses", "--tool", "a"],
+    ):
         assert main([*words, str(tmp_path / "none.csv"), *options]) == 1
         assert "rig correct: --" in capsys.readouterr().err
     assert not (tmp_path / "none.csv").exists()
