@@ -241,7 +241,7 @@ def _run(arguments: argparse.Namespace) -> int:
         )  # files are written where a FileError names them
         return _failed(f"{name}: {f'{where}: ' if where else ''}{error.strerror or error}")
     except Ended as end:
-        return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
+        return _failed(f"{name}: ended by signal {end.number}{_usual_sender(end.number)}", 128 + end.number)
     except KeyboardInterrupt:
         return _failed(f"{name}: interrupted", 130)
 
@@ -353,6 +353,12 @@ def _signals() -> Iterator[None]:
     finally:
         for number in numbers:
             signal.signal(number, signal.SIG_DFL)
+
+
+def _usual_sender(number: int) -> str:
+    """Who sends a signal to a command that drives, in words; "" for others."""
+    drives = "rig.driving.controller_lock" in sys.modules
+    return " (SIGTERM, as rig stop and kill send it)" if drives and number == signal.SIGTERM else ""
 
 
 def _failed(message: str, status: int = 1) -> int:

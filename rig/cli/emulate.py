@@ -98,6 +98,8 @@ def run(arguments: Namespace) -> None:
     """
     if arguments.new is not None:
         return _new(arguments)
+    if arguments.design is not None and arguments.design.suffix == ".py":
+        raise RigError(f"{arguments.design} is a protocol: it is given by --protocol {arguments.design}")
     if arguments.conform:
         return _conform(arguments)
     if arguments.fault == ["list"]:
@@ -191,11 +193,12 @@ def _new(arguments: Namespace) -> None:
 
     from rig.formats.output_files import write_text
 
-    if not arguments.new.isidentifier():
+    name = arguments.new.removesuffix(".py")
+    if not name.isidentifier():
         raise RigError(f"--new takes a name of letters, digits and underscores, not {arguments.new!r}")
     text, path = (
         files("rig.driving").joinpath("example_protocol_with_emulator.py").read_text(encoding="utf-8"),
-        arguments.new + ".py",
+        name + ".py",
     )
     write_text(arguments.outputs.file(Path(path)), text)
     print(f"written: {path}; rig emulate --conform --protocol {path} tests it")

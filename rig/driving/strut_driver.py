@@ -351,6 +351,8 @@ class Driver:
                 self._left = None
                 error.add_note(f"the struts could not be stopped: {failed}")
                 self._say(error.__notes__[-1])
+                if isinstance(error, LinkLost) and isinstance(failed, PositionLost):  # why, and what to do
+                    raise PositionLost(f"{error}; {failed}") from error
             raise
 
     def _halt(self) -> None:

@@ -264,7 +264,7 @@ def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, tmp_path
         process.join(0.001)
     assert f"process {process.pid}, which drove them, was stopped" in printed("stop", rig)
     process.join(10)
-    assert process.exitcode == 128 + signal.SIGTERM and "ended by signal" in log.read_text()
+    assert process.exitcode == 128 + signal.SIGTERM and "ended by signal 15 (SIGTERM, as rig stop" in log.read_text()
     stood = printed("status", rig)
     assert home - 0.01 < float(re.search(r"lengths (\S+)", stood)[1]) < home + 29 and "idle" in stood
     assert printed("status", rig) == stood

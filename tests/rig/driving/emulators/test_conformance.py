@@ -93,6 +93,13 @@ def test_the_page_shows_the_file_that_is_written_and_a_camera_that_works(tmp_pat
     assert open_sensors(stated, SystemClock()).read() == {"gauge": 0.0012, "air_temperature_C": 20.4}
 
 
+def test_a_protocol_is_given_by_its_option_and_written_by_either_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["emulate", "--new", "mine.py"]) == 0 and (tmp_path / "mine.py").read_text() == TEMPLATE
+    assert main(["emulate", "--conform", "mine.py"]) == 1
+    assert "mine.py is a protocol: it is given by --protocol mine.py" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [["--conform"], [], ["--new", "a b"], ["--conform", "--protocol", "grbhal"]])
 def test_what_cannot_be_meant_is_refused(words, capsys):
     assert main(["emulate", *words]) == 1 and "rig emulate: " in capsys.readouterr().err

@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.move_profiles_and_path_check import require_safe_path
 from rig.driving.protocols.protocol_selection_and_user_protocols import protocol_of_controller
-from rig.errors import ControllerFault, FileError
+from rig.errors import ControllerFault, FileError, PositionLost, Unreachable
 from tests.conftest import ROOT
 
 TEMPLATE = (ROOT / "rig" / "driving" / "example_protocol_with_emulator.py").read_text()
@@ -76,3 +77,36 @@ def test_a_move_is_sent_once_and_a_question_again(tmp_path, driven_design):
     emulator.answer = lambda text: None if b"POS" in text.encode() and next(silent, False) else answer(text)
     driver.move(driver.lengths() + 1e-3)
     assert lines.count(b"GO") == 1 and lines.count(b"POS") > 3 and len(emulator.machine.executed) == 1
+
+
+def test_a_restart_with_a_lost_connection_during_homing_ends_with_cause_and_remedy(tmp_path, driven_design):
+    driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, written(tmp_path))
+    driver.open()
+
+    def restart():
+        emulator.power_cycle()
+        emulator.unplug()
+
+    clock.action_time, clock.action = clock.now() + 0.1, restart
+    with pytest.raises(PositionLost, match=r"^unplugged; .* the controller has restarted; home it \(rig home\)"):
+        driver.home()
+
+
+def test_a_refused_move_shows_what_was_sent(tmp_path, driven_design):
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(driven_design, written(tmp_path))
+    driver.open()
+    driver.home()
+    emulator.is_beyond_limits = lambda target: True
+    with pytest.raises(
+        ControllerFault, match=r"the move was refused: beyond the limits; sent: '\d+ GO 100 1000000 1000"
+    ):
+        driver.move(driver.lengths() + 1e-3)
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1e3, "too large"), (1e-3, "too small"), (1e-2, "")])
+def test_lengths_in_another_unit_are_named_so(driven_design, factor, words):
+    mechanism = driven_design.mechanism
+    target = mechanism.strut_range.mean(axis=1)
+    with pytest.raises(Unreachable, match=r"\[controller\] zero") as raised:
+        require_safe_path(factor * target, target, mechanism, 0.1, None)
+    assert ("units?" in str(raised.value)) == bool(words) and words in str(raised.value)
