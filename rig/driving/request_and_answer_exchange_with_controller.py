@@ -5,6 +5,7 @@ Over a port: one at a time, with timeout and reconnection.
 Every byte sent and received can be traced.
 """
 
+import re
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from rig.errors import LinkLost, NoAnswer, Stopped
 
 T = TypeVar("T")
 LONGEST = 4096  # bytes of a line; what is longer is no line
+LINE_ENDS = re.compile(rb"[\r\n\x03]")  # Klipper ends its messages by the last one
 SLICE = 0.05  # s between looks at whether somebody wants to stop
 BACKOFF = (0.05, 2.0)  # s before the second try to connect, and at most
 EVENTS = 100
@@ -150,7 +152,7 @@ class Link:
         if not data:
             return []
         self._traced("<", data)
-        *whole, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        *whole, self._rest = re.split(LINE_ENDS, self._rest + data)
         if len(self._rest) > LONGEST:
             self._rest = b""
         lines = [line.decode("latin-1").strip("\x00") for line in whole]
