@@ -376,6 +376,10 @@ def checked_image(image: object, camera: Camera) -> Pixels:
     if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
         raise CameraError(f"camera {camera.name!r} gives {what}, not an array of uint8 or uint16")
+    if image.ndim == 3 and image.shape[2] != 3:
+        raise CameraError(
+            f"camera {camera.name!r} gives {image.shape[2]} values for each pixel, neither grey nor three colours"
+        )
     expected = (camera.height, camera.width, 3)[: image.ndim]
     if image.shape != expected:
         raise CameraError(

@@ -1,6 +1,7 @@
 """Cameras: fresh frames only, their times on the host's clock, whole files only."""
 
 import contextlib
+import threading
 import time
 import tomllib
 import types
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, genicam_discovery, open_camera
+from rig.driving.cameras import CameraError, genicam_discovery, open_camera, opencv_camera
 from rig.driving.cameras.camera_interface_and_user_cameras import (
     ClockOffset,
     Frame,
@@ -19,7 +20,7 @@ from rig.driving.cameras.camera_interface_and_user_cameras import (
 )
 from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import PTP_NODES, GenicamSource
-from rig.driving.cameras.opencv_camera import VideoSource
+from rig.driving.cameras.opencv_camera import GuardedCapture, VideoSource
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera, CaptureSettings
@@ -136,6 +137,29 @@ def test_an_opencv_that_lists_gstreamer_and_cannot_load_it_says_so(monkeypatch):
     monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: False)
     with pytest.raises(CameraError, match="this build of OpenCV has no GStreamer"):
         open_camera(camera("gstreamer:videotestsrc ! videoconvert ! appsink"), Ticking())
+
+
+def test_a_pipeline_that_falls_silent_is_gone_and_not_waited_for_again(monkeypatch):
+    silent, released = threading.Event(), []
+    monkeypatch.setattr(opencv_camera, "WAIT", 0.05)
+    capture = types.SimpleNamespace(grab=silent.wait, release=lambda: released.append(1))
+    source = VideoSource("cam0", GuardedCapture(capture), Ticking(), SIZE, uvc=False)
+    for _ in range(2):
+        with pytest.raises(CameraError, match="'cam0' gives no frame; is it plugged in"):
+            source.grab()
+    source.close()
+    assert not released, "a call still waits in it"
+    silent.set()
+
+
+def test_a_pipeline_that_never_opens_is_named(monkeypatch):
+    silent = threading.Event()
+    monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: True)
+    monkeypatch.setattr(opencv_camera, "OPENING", 50)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: silent.wait())
+    with pytest.raises(CameraError, match="cannot be opened; `gst-launch-1.0 nosuchsrc ! fakesink` states why"):
+        open_camera(camera("gstreamer:nosuchsrc ! appsink"), Ticking())
+    silent.set()
 
 
 def test_a_device_that_is_not_there_is_said(tmp_path):

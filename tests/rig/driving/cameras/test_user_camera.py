@@ -30,6 +30,7 @@ class Mine(UserCamera):
 '''
 FAILS = [
     ("self.count, np.uint8", "self.count, float", r"'cam0' gives float64 \(24, 32\), not an array of uint8"),
+    ("self.camera.width)", "self.camera.width, 4)", "'cam0' gives 4 values for each pixel"),
     ("self.camera.height, self", "2, self", "'cam0' gives 32 x 2 px, but rig.toml has 32 x 24 px"),
     ("return np.full", "return np.fill", "mine.py:13: Mine.grab fails: AttributeError"),
     ("        return np.full(", "        (", "'cam0' gives NoneType, not an array"),
