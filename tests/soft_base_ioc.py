@@ -1,4 +1,4 @@
-"""A soft IOC of EPICS base itself, by pythonSoftIOC: RIG:m1 .. RIG:m6, analog outputs in mm that RIG:r1 .. RIG:r6 follow.
+"""A soft IOC of EPICS base, by pythonSoftIOC: RIG:m1 .. RIG:m6, analog outputs in mm that RIG:r1 .. RIG:r6 follow.
 
 EPICS base has no motor records. Run as a program it takes the TCP port.
 """
