@@ -6,7 +6,7 @@
 The controller answers a call once it is done, a move at its end, and takes no other on the same connection meanwhile.
 So moves, stops and all else have a connection each. Neither calls nor answers have numbers or ends of lines there:
 each connection is sent one call at a time, and what it answers is the answer to that.
-Source: Newport HXP Programmer's Manual, communication by TCP/IP.
+Source: the text interface of Newport's XPS controllers over TCP, as its public drivers have it.
 """
 
 import select

@@ -22,7 +22,7 @@ class Controller:
     """What drives the axes.
 
     protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, or a user's "file:NAME.py" or "package:NAME"
-    baudrate : bits per second; port : device, or URL socket://, rfc2217://, ca:// (epics), xps:// (hxp), in tests loop://
+    baudrate : bit/s; port : device, or URL socket://, rfc2217://, ca:// (epics), xps:// (hxp), loop:// (tests)
     usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
     zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None

@@ -3,9 +3,9 @@
 Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers); they are those of its Tool coordinate
 system in its Work coordinate system. Calls and answers are lines of rig.driving.newport_port. A move and a homing are
 answered at their end; the group's state says meanwhile that they have begun.
-U V W are Bryant angles, about axes that move along, R = Rx(U) Ry(V) Rz(W).
-Source: Newport HXP Controller User's Manual (coordinate systems) and Programmer's Manual (functions, group states,
-errors), as of the XPS controllers; a struts' own name is HEXAPOD.1 .. HEXAPOD.6.
+U V W are taken as Bryant angles, about axes that move along, R = Rx(U) Ry(V) Rz(W): not yet seen at a controller.
+Source: functions, group states and errors as public drivers of the XPS controllers have them; a strut's own name is
+HEXAPOD.1 .. HEXAPOD.6.
 """
 
 import re
