@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from calib.api.diagnose import diagnose as diagnose
     from calib.api.execute_plan_at_machine import RunOptions as RunOptions
     from calib.api.execute_plan_at_machine import plan_run as plan_run
-    from calib.api.export_to_other_programs import ExportOptions as ExportOptions
-    from calib.api.export_to_other_programs import export as export
+    from calib.api.export_calibration_or_recording import ExportOptions as ExportOptions
+    from calib.api.export_calibration_or_recording import export as export
     from calib.api.investigate import investigate as investigate
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions as LoopClosureOptions
     from calib.api.loop_closure_check_of_redundant_legs import close_loops as close_loops
@@ -96,7 +96,7 @@ __getattr__, __dir__ = lazy_exports(
             ("accept_limbs", "AcceptLimbsOptions"), "calib.api.measuring_limb_acceptance_and_poses_from_readings"
         ),
         **dict.fromkeys(("close_loops", "LoopClosureOptions"), "calib.api.loop_closure_check_of_redundant_legs"),
-        **dict.fromkeys(("export", "ExportOptions"), "calib.api.export_to_other_programs"),
+        **dict.fromkeys(("export", "ExportOptions"), "calib.api.export_calibration_or_recording"),
         **dict.fromkeys(("plan_run", "RunOptions"), "calib.api.execute_plan_at_machine"),
         "analyse_workspace": "calib.api.workspace_change_by_calibration",
         "investigate": "calib.api.investigate",

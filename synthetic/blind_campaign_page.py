@@ -43,7 +43,7 @@ def campaign_dict(cases: list[Case]) -> Json:
         },
         "by_effect": _rows(diagnosis_score.figures_by_effect(cases)),
         "by_strength": _rows(diagnosis_score.figures_by_strength(cases)),
-        "confusion": diagnosis_score.confusion_table(cases),
+        "confusion": diagnosis_score.strong_effect_confusion_table(cases),
         "cases": [
             {
                 "case": c.index,
@@ -117,7 +117,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
     parts += [
         heading_html("Confusion matrix"),
         note_html("Rows: what was hidden. Columns: the name that it was given."),
-        _confusion(diagnosis_score.confusion_table(cases)),
+        _confusion(diagnosis_score.strong_effect_confusion_table(cases)),
         heading_html("Wrong answers"),
         _wrong(cases),
     ]

@@ -343,7 +343,7 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
     ]
 
 
-def confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
+def strong_effect_confusion_table(cases: list[Case]) -> dict[str, dict[str, int]]:
     """Confusion table of a campaign's strong effects.
 
     Returns {hidden effect: {effect found: count}}

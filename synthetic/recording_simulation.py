@@ -18,7 +18,7 @@ from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
-from rig.model.base_and_link_tilts import SENSOR_AXES
+from rig.model.base_and_link_tilt_sensors import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.mechanisms import best_six_legs_and_loop_closures

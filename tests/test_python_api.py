@@ -37,7 +37,7 @@ CALLS = {
     "limbs test": "calib.api.measuring_limb_acceptance_and_poses_from_readings:accept_limbs",
     "limbs closures": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
     "workspace": "calib.api.workspace_change_by_calibration:analyse_workspace",
-    "export": "calib.api.export_to_other_programs:export",
+    "export": "calib.api.export_calibration_or_recording:export",
     "arm kinematics": "calib.api.arm_kinematics:load_arm_kinematics",
     "arm posture": "rig.posture.best_posture:best_posture",
     "arm wrench": "rig.posture.external_wrench_from_torque_table:measure_wrench",
@@ -56,7 +56,7 @@ CALLS = {
     "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",
     **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:new_rig_toml"),
     "import": "rig.api:import_recording",
-    "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:load_emulator",
+    "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:emulator_of_rig_toml_controller",
     "view index": "rig.report.pages.page_templates_and_index_page:write_index_page",
 }  # module:function that does a command's work
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write
@@ -82,7 +82,7 @@ COMPUTING = (
 )  # of what a command imports nothing, but for names of types and of what it prints
 NOT_COMPUTING = (
     "calib.certificate",
-    "diagnosis_texts",
+    "diagnosis_sentences_and_table_rows",
     "Options",
     "DIRECTIONS",
     "AXES",

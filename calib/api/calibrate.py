@@ -39,7 +39,9 @@ from calib.diagnosis.physics_left_out_of_calibration import (
     calibration_with_left_out_physics,
     mark_as_not_searched_for_left_out_physics,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import fit_of_effects_shown_by_instruments
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    fit_of_effects_shown_by_instruments,
+)
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
 from calib.models.arm import calibration_page_and_c_source as arm_page

@@ -58,7 +58,7 @@ def is_recording_folder(data: Path) -> bool:
     if not is_folder(data) or "frames.csv" not in list_folder(data):
         return False
     header = read_text(data / "frames.csv").partition("\n")[0]
-    return all(column in header for column in OF_RECORDING) or not _holds_images(data)
+    return {*OF_RECORDING} <= {column.strip() for column in header.split(",")} or not _holds_images(data)
 
 
 def _holds_images(folder: Path) -> bool:

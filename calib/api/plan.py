@@ -47,7 +47,7 @@ from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
-from rig.model.base_and_link_tilts import GRAVITY_SIGMA
+from rig.model.base_and_link_tilt_sensors import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (

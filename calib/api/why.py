@@ -23,7 +23,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import ratio_
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.diagnosis_texts import finding_size_text, finding_title
+from calib.diagnosis.report.diagnosis_sentences_and_table_rows import finding_size_text, finding_title
 from calib.files.calibration_file import save
 from calib.models.arm.certification import CertifiedArm
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences

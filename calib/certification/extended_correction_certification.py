@@ -52,7 +52,7 @@ from calib.correction.interpolation_methods_and_interpolated_correction_summands
     correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,
-    residual_correction_summands_of_geometry,
+    residual_correction_summands_at_samples,
 )
 from calib.models.platform.identification import (
     Identified,
@@ -137,7 +137,7 @@ def certify_extended_correction(
     def stand(some: Samples) -> ExtensionBasis:
         geometry = found if some is samples else fitted_or_nominal_geometry(some, nominal, request.alone, found.prior)
         return ExtensionBasis(
-            residual_correction_summands_of_geometry(some, geometry),
+            residual_correction_summands_at_samples(some, geometry),
             lambda field: correction_with_field(nominal, geometry, field),
             lambda field, at: mean_stated_position_variance(field, at, nominal),
         )

@@ -68,7 +68,7 @@ def require_sample_size(
         )
 
 
-def count_beyond_upper_tolerance_limit(n: int, coverage: float, confidence: float) -> float:
+def fractional_count_beyond_upper_tolerance_limit(n: int, coverage: float, confidence: float) -> float:
     """Number of n values beyond the upper tolerance limit, as a real number of at least 0.
     Raises NotEnoughData for fewer than `least_sample_size`
     """
@@ -110,7 +110,7 @@ def upper_tolerance_limit(values: Floats, coverage: float = 0.95, confidence: fl
     Raises NotEnoughData for fewer than `least_sample_size`
     """
     n = len(values)
-    return _at(np.sort(values), n - count_beyond_upper_tolerance_limit(n, coverage, confidence))
+    return _at(np.sort(values), n - fractional_count_beyond_upper_tolerance_limit(n, coverage, confidence))
 
 
 def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, confidence: float = 0.95) -> float:
@@ -322,7 +322,9 @@ def tolerance_limits_of_true_errors(
     middle = float(
         found.depth[free.at[order[min(int(np.searchsorted(np.cumsum(free.weights[order]), coverage)), len(order) - 1)]]]
     )
-    allowed = coverage_log_likelihood_drop(n, count_beyond_upper_tolerance_limit(n, coverage, confidence), coverage)
+    allowed = coverage_log_likelihood_drop(
+        n, fractional_count_beyond_upper_tolerance_limit(n, coverage, confidence), coverage
+    )
     high = _crossing(found, free, allowed, 1 - coverage, middle, True)
     k = count_beyond_lower_tolerance_limit(n, coverage, confidence)
     low = (

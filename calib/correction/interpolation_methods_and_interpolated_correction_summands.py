@@ -226,7 +226,7 @@ def fitted_or_nominal_geometry(
     )
 
 
-def residual_correction_summands_of_geometry(samples: Samples, identified: Identified) -> FieldSamples:
+def residual_correction_summands_at_samples(samples: Samples, identified: Identified) -> FieldSamples:
     """Residual correction summands that a fitted geometry leaves at its samples.
 
     Shared errors removed.

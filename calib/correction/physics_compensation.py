@@ -25,7 +25,7 @@ from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms, motion_simulation
 from rig.model import motion_simulation as machine
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from rig.model.base_and_link_tilts import GRAVITY, BaseTilt, has_gravity_sensor_channels
+from rig.model.base_and_link_tilt_sensors import GRAVITY, BaseTilt, has_gravity_sensor_channels
 from rig.model.design import Actuator, Design, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms.arm import hand_pose_of_each_row

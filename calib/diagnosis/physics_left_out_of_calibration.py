@@ -28,8 +28,8 @@ from calib.certification.error_claim_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors, predicted_poses
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report import diagnosis_texts
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
+from calib.diagnosis.report.diagnosis_sentences_and_table_rows import finding_size_text, finding_title
 from calib.diagnosis.report.report_verdict_and_folder import (
     Report,
     diagnosis_report,
@@ -163,14 +163,7 @@ def refuted_calibrations(
         nameless = [f.place for f in report.unknown if (f.effect, f.place) not in known]
         if not left and not nameless:
             continue
-        found = (
-            [
-                "it omits "
-                f"{'; '.join(diagnosis_texts.finding_title(f) + diagnosis_texts.finding_size_text(f) for f in left)}"
-            ]
-            if left
-            else []
-        )
+        found = ["it omits " + "; ".join(f"{finding_title(f)}{finding_size_text(f)}" for f in left)] if left else []
         found += [f"no catalogued effect explains the residual at {', '.join(nameless)}"] if nameless else []
         after = (tree.get("claim") or {}).get("after")
         claimed = f", where {float(after[0][2]) * 1e6:.3g} um is claimed" if after else ""

@@ -21,7 +21,7 @@ from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals i
     has_continuous_parameters,
     optimise_nonlinear_parameters,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
     Arms,
     Columns,

@@ -195,7 +195,7 @@ class RunObserver:
             self._answers.put(text)
             return True
 
-    def answered(self, seconds: float) -> str | None:
+    def operator_entry(self, seconds: float) -> str | None:
         """What an operator entered since it was asked, waited for so many s at most; None where that is nothing yet."""
         try:
             text = self._answers.get(timeout=seconds)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.base_and_link_tilts import has_gravity_sensor_channels
+from rig.model.base_and_link_tilt_sensors import has_gravity_sensor_channels
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_and_link_tilts import TiltReadings, linearised_tilts
+from rig.model.base_and_link_tilt_sensors import TiltReadings, linearised_tilts
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_parallel, kinematics_of
 from rig.model.pose import adjoint, align_poses, exp, pose, pose_difference

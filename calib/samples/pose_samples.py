@@ -25,7 +25,7 @@ from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
-from rig.model.base_and_link_tilts import TiltReadings, gravity_at_exposures
+from rig.model.base_and_link_tilt_sensors import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
 from rig.recording.frame_selection_and_content_hashes import (

@@ -19,7 +19,7 @@ from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
-from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
+from rig.model.base_and_link_tilt_sensors import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
     Arm,

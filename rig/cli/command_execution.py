@@ -77,19 +77,19 @@ def join_command_words(words: list[str]) -> tuple[list[str], str | None]:
     return ([*words[:at], both, *words[at + 2 :]] if both in COMMANDS else words), None
 
 
-def run_words(words: list[str], call: Callable[[list[str]], int], begun_stop: object) -> int:
+def run_words(words: list[str], call: Callable[[list[str]], int], urgent_stop: object) -> int:
     """Run the command of a command line; see rig.cli.command_line.main.
 
-    call : runs another command, for commands that need others; begun_stop : as rig.cli.stop_before_imports returns it,
+    call : runs another command, for commands that need others; urgent_stop : as rig.cli.stop_before_imports returns it,
     None for other commands
     """
     from rig.cli.shared.output_display import escape_control_characters_in_output
 
     with escape_control_characters_in_output():
-        return _run_words(join_negative_numbers(words), call, begun_stop)
+        return _run_words(join_negative_numbers(words), call, urgent_stop)
 
 
-def _run_words(argv: list[str], call: Callable[[list[str]], int], begun_stop: object) -> int:
+def _run_words(argv: list[str], call: Callable[[list[str]], int], urgent_stop: object) -> int:
     """See `run_words`."""
     argv, earlier = join_command_words(argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
@@ -111,7 +111,7 @@ def _run_words(argv: list[str], call: Callable[[list[str]], int], begun_stop: ob
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
     arguments.argv, arguments.all_commands, arguments.call = argv, shell_completion_parser, call
-    arguments.begun_stop = begun_stop
+    arguments.urgent_stop = urgent_stop
     return _run(arguments)
 
 

@@ -200,7 +200,7 @@ def _pose_frames(arguments: Namespace, units: LengthAndAngleUnits) -> PoseFrames
     given = {name: getattr(arguments, name) for name in ("work", "tool", "pivot")}
     if arguments.kind == "lengths":
         if any(text is not None for text in given.values()):
-            raise RigError("--work, --tool and --pivot apply to --as poses")
+            raise RigError("--work, --tool and --pivot apply to --as poses, gcs and hxp")
         return None
     if arguments.kind == "hxp" and given["pivot"] is not None:
         raise RigError("--pivot: an HXP turns about the origin of its Tool coordinate system; state that as --tool")

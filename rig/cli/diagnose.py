@@ -171,7 +171,7 @@ def _words(arguments: Namespace) -> tuple[str, ...]:
 
 def _print_report(report: Report) -> None:
     """Print what was found, the biggest first, and what was held out."""
-    from calib.diagnosis.report.diagnosis_texts import (
+    from calib.diagnosis.report.diagnosis_sentences_and_table_rows import (
         excluded_outlier_texts,
         finding_line,
         formula_suggestion_sentences,

@@ -122,7 +122,7 @@ def _emulate(arguments: Namespace) -> None:
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
     from rig.driving.emulators import controller_emulator_opening_and_ports
-    from rig.driving.emulators.controller_emulator_opening_and_ports import load_emulator
+    from rig.driving.emulators.controller_emulator_opening_and_ports import emulator_of_rig_toml_controller
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
@@ -130,7 +130,7 @@ def _emulate(arguments: Namespace) -> None:
     options = controller_emulator_opening_and_ports.EmulatorOptions(
         _protocol(arguments), tuple(arguments.fault), arguments.seed, arguments.start, arguments.speed
     )
-    emulator = load_emulator(arguments.design, options, clock)
+    emulator = emulator_of_rig_toml_controller(arguments.design, options, clock)
     wire = (
         controller_emulator_opening_and_ports.tcp_wire(emulator, _address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None

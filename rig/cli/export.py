@@ -115,7 +115,7 @@ def run(arguments: Namespace) -> None:
 
     Export a calibrated geometry to another format.
     """
-    from calib.api.export_to_other_programs import ExportOptions, export
+    from calib.api.export_calibration_or_recording import ExportOptions, export
 
     _require_out(arguments)
     names = [name for name, _ in arguments.over]

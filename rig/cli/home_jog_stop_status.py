@@ -21,7 +21,7 @@ from rig.formats.numbers_and_units import parse_quantity, parse_whole_number
 
 if TYPE_CHECKING:
     from rig.array_and_json_types import Floats
-    from rig.driving.controller_address_and_urgent_stop import BegunStop
+    from rig.driving.controller_address_and_urgent_stop import UrgentStop
 
 
 def arguments_of_home(parser: ArgumentParser) -> None:
@@ -133,7 +133,7 @@ def run_stop(arguments: Namespace) -> None:
 
     Stop the struts, and any process that moves them; its run can be resumed.
     """
-    begun = arguments.begun_stop or _begun_stop(arguments)
+    begun = arguments.urgent_stop or _urgent_stop(arguments)
     if isinstance(begun, BaseException):
         raise begun
     with begun:
@@ -150,17 +150,17 @@ def run_stop(arguments: Namespace) -> None:
             print_status(driver.status(), design)
 
 
-def _begun_stop(arguments: Namespace) -> BegunStop:
+def _urgent_stop(arguments: Namespace) -> UrgentStop:
     """A stop that is begun now, of a rig.toml that has to be read whole for it."""
     from rig.driving.clock import SystemClock
-    from rig.driving.controller_address_and_urgent_stop import BegunStop, controller_address_in_rig_toml
+    from rig.driving.controller_address_and_urgent_stop import UrgentStop, controller_address_in_rig_toml
     from rig.driving.driver_opening_and_settling import address_of_controller, design_with_controller_port
 
     address = controller_address_in_rig_toml(arguments.design, arguments.port)
     if address is None:
         stated = design_with_controller_port(arguments.design, arguments.port)
         address = address_of_controller(stated.driver(), stated.mechanism)
-    return BegunStop(address, SystemClock())
+    return UrgentStop(address, SystemClock())
 
 
 def arguments_of_status(parser: ArgumentParser) -> None:

@@ -130,7 +130,7 @@ def run(arguments: Namespace) -> None:
         )
     else:
         print(
-            f"{frames} visits in {out / 'visits.csv'}; join an instrument's poses to them by frame, as "
+            f"{count_text(frames, 'visit')} in {out / 'visits.csv'}; join an instrument's poses to them by frame, as "
             f"{out / 'poses.csv'}"
         )
 

@@ -12,11 +12,11 @@ TYPE_CHECKING = False  # typing would take time
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rig.driving.controller_address_and_urgent_stop import BegunStop
+    from rig.driving.controller_address_and_urgent_stop import UrgentStop
     from rig.errors import RigError
 
 
-def begin_stop(words: list[str]) -> BegunStop | RigError | OSError | KeyboardInterrupt | None:
+def begin_stop(words: list[str]) -> UrgentStop | RigError | OSError | KeyboardInterrupt | None:
     """A stop that was begun, by the words after `rig stop`.
 
     Returns what went wrong with it, to be raised by the command; None where the words or the rig.toml cannot be
@@ -24,13 +24,13 @@ def begin_stop(words: list[str]) -> BegunStop | RigError | OSError | KeyboardInt
     """
     with real_time_priority():
         from rig.driving.clock import SystemClock
-        from rig.driving.controller_address_and_urgent_stop import BegunStop, controller_address_in_rig_toml
+        from rig.driving.controller_address_and_urgent_stop import UrgentStop, controller_address_in_rig_toml
         from rig.errors import RigError
 
         stated = stated_rig_toml_and_port(words)
         address = None if stated is None else controller_address_in_rig_toml(*stated)
         try:
-            return None if address is None else BegunStop(address, SystemClock())
+            return None if address is None else UrgentStop(address, SystemClock())
         except (RigError, OSError, KeyboardInterrupt) as error:
             return error
 
@@ -60,13 +60,15 @@ def real_time_priority() -> Iterator[None]:
     It permits it to root. Elsewhere nothing changes: a busy computer merely takes longer. A nice value would not do:
     it counts within a session alone where the system groups processes by session.
     """
-    if not hasattr(os, "sched_setscheduler"):
-        yield
-        return
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    with suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    before = None
+    if hasattr(os, "sched_setscheduler"):
+        with suppress(OSError):  # not permitted, or not there: a stop does without
+            before = os.sched_getscheduler(0), os.sched_getparam(0)
+            lowest = os.sched_param(os.sched_get_priority_min(os.SCHED_RR))
+            os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, lowest)  # threads do not inherit it
     try:
         yield
     finally:
-        os.sched_setscheduler(0, policy, parameters)
+        if before is not None:
+            with suppress(OSError):
+                os.sched_setscheduler(0, *before)

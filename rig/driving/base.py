@@ -1,7 +1,7 @@
 """Base classes for a file of the user's own: a protocol with its emulator, a camera, or sensors."""
 
 from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, Frame, UserCamera
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import LineEmulator
+from rig.driving.emulators.emulator_base_classes import LineEmulator
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Dialogue,
     LineProtocol,

@@ -139,7 +139,7 @@ def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Ite
         yield StoppedController(lock, port, data, sent)
 
 
-class BegunStop:
+class UrgentStop:
     """A stop that was begun: the process that drives was asked to end; where none does, the urgent stop was sent.
 
     A context manager, at whose end the controller's port is closed and its lock released.
@@ -154,7 +154,7 @@ class BegunStop:
         if self.holder is None:
             self.stopped_controller()
 
-    def __enter__(self) -> "BegunStop":
+    def __enter__(self) -> "UrgentStop":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -192,7 +192,10 @@ class PositionReport:
 TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
 ANEW = f"the controller has restarted since the last contact; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
-UNIT = (500.0, 2000.0)  # times by which a length is off where millimetres were taken for metres, and the like
+UNIT_ERROR_RATIOS = (
+    500.0,
+    2000.0,
+)  # times by which a length is off where millimetres were taken for metres, and the like
 CANNOT_HOME = (
     "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
     "rig jog --unlock, "
@@ -214,7 +217,7 @@ def unit_hint(lengths: Floats, expected: Floats) -> str:
     """
     size, usual = float(np.abs(lengths).max()), float(np.abs(expected).max())
     for ratio, word in ((size, usual), "large"), ((usual, size), "small"):
-        if UNIT[0] * ratio[1] < ratio[0] < UNIT[1] * ratio[1]:
+        if UNIT_ERROR_RATIOS[0] * ratio[1] < ratio[0] < UNIT_ERROR_RATIOS[1] * ratio[1]:
             return f"; about {ratio[0] / ratio[1]:.0f} times too {word}: units?"
     return ""
 

@@ -44,7 +44,7 @@ from rig.driving.run_steps_and_progress import (
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.atomic_files_and_locks import sync_folder
 
-ANSWERED = 0.1  # s between looks whether an operator who is asked has stopped the run
+ENTRY_POLL = 0.1  # s between looks whether an operator who is asked has stopped the run
 
 
 class Machine(Protocol):
@@ -99,7 +99,7 @@ class RunWatcher(Protocol):
     def ask(self, frame: int, question: str) -> None:
         """Show the operator what is asked at the place of a frame; what was entered before answers nothing."""
 
-    def answered(self, seconds: float) -> str | None:
+    def operator_entry(self, seconds: float) -> str | None:
         """What the operator entered since, waited for so many s at most; None where that is nothing yet."""
 
 
@@ -302,7 +302,7 @@ class RunOperator:
         question = form.question(number, goal, sizes)
         self.watcher.ask(number, question)
         while True:
-            while (text := self.watcher.answered(ANSWERED)) is None:
+            while (text := self.watcher.operator_entry(ENTRY_POLL)) is None:
                 self._wanted()
             try:
                 return form.reading(text, sizes)

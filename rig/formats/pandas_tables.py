@@ -12,7 +12,7 @@ from rig.model.pose import pose_to_vector
 
 DataFrame: TypeAlias = Any  # of pandas, which need not be installed
 Column: TypeAlias = Sequence[object] | Floats | Integers | Booleans
-POSE_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+POSE_COLUMNS_WITH_UNITS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def pandas_table(names: Sequence[str], rows: Iterable[Sequence[object]]) -> DataFrame:
@@ -56,4 +56,4 @@ def pandas_table_of_errors(frame: Integers, errors: Mapping[str, Floats]) -> Dat
 
 def _six(prefix: str, values: Floats) -> dict[str, Column]:
     """Six columns, one for each coordinate of poses (n, 6)."""
-    return {f"{prefix}{name}": column for name, column in zip(POSE_COLUMNS, values.T)}
+    return {f"{prefix}{name}": column for name, column in zip(POSE_COLUMNS_WITH_UNITS, values.T)}

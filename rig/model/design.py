@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, freeze_array
 from rig.errors import RigError
-from rig.model.base_and_link_tilts import BaseTilt, TiltSensor
+from rig.model.base_and_link_tilt_sensors import BaseTilt, TiltSensor
 from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
 from rig.model.calibration_board import Board
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2

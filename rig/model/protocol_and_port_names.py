@@ -4,6 +4,7 @@ It imports nothing that takes time.
 """
 
 import re
+from urllib.parse import urlsplit
 
 PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics")
 TAKE_POSES = ("gcs-hexapod", "hxp")  # controllers of hexapods, with kinematics and frames of their own
@@ -30,6 +31,11 @@ def port_problem(port: str) -> str | None:
         return f"{port[:SHOWN]!r} is not a port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(
             f"{name}://.." for name in SCHEMES
         )
+    if stroke:
+        try:
+            _ = urlsplit(port).port
+        except ValueError as error:
+            return f"{port[:SHOWN]!r} is not a port: {error}"
     return None
 
 

@@ -18,7 +18,7 @@ from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
-from rig.model.base_and_link_tilts import (
+from rig.model.base_and_link_tilt_sensors import (
     GRAVITY,
     BaseTilt,
     gravity_channels,

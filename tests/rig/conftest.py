@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.model.base_and_link_tilts import GRAVITY
+from rig.model.base_and_link_tilt_sensors import GRAVITY
 from rig.model.design import PROTOCOLS
 from tests.conftest import ROOT
 

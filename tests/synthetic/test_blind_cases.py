@@ -286,7 +286,7 @@ def test_answers_are_judged():
         and f["nothing hidden: no finding"] == (1, 2)
         and f["no wrong name in any case"] == (5, 7)
     )
-    assert diagnosis_score.confusion_table([right, allowed, wrong, missed])["servo_lag"] == {
+    assert diagnosis_score.strong_effect_confusion_table([right, allowed, wrong, missed])["servo_lag"] == {
         "servo_lag": 1,
         "time_offset": 1,
         "creep": 1,

@@ -14,7 +14,7 @@ from calib.models.platform.identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.model import motion_simulation
-from rig.model.base_and_link_tilts import BaseTilt
+from rig.model.base_and_link_tilt_sensors import BaseTilt
 from rig.model.pose import exp
 from rig.planning import plan
 from rig.recording.recording_folder import sensors_with_gravity

@@ -26,7 +26,7 @@ from calib.models.arm.tilt_observations import (
 from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
 from calib.samples.pose_samples import sample_recording
 from rig.errors import FileError, RigError
-from rig.model.base_and_link_tilts import TiltReadings, TiltSensor
+from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor
 from rig.model.mechanisms import arm as mechanism
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import UR10

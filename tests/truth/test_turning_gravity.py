@@ -18,7 +18,7 @@ from calib.correction.physics_compensation import Physics
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
 from rig.errors import RigError
-from rig.model.base_and_link_tilts import GRAVITY, BaseTilt
+from rig.model.base_and_link_tilt_sensors import GRAVITY, BaseTilt
 from rig.recording.recording_folder import Sensors, sensors_with_gravity
 from tests.truth import draw, record, rms, wanted
 from tests.truth.camera_sets import Camera, Sight

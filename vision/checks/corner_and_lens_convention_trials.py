@@ -317,12 +317,17 @@ def find_matching_lens_convention(sample: SampledRecording, adjusted: tuple[Came
     found = [
         one
         for one in alternative_lens_trials(sample)
-        if all(is_same_lens(a, b) for a, b in zip(one[2].design.cameras, adjusted))
+        if all(is_same_lens_within_calibration_drift(a, b) for a, b in zip(one[2].design.cameras, adjusted))
     ]
-    return found[0] if found and not all(is_same_lens(a, b) for a, b in zip(sample.design.cameras, adjusted)) else None
+    return (
+        found[0]
+        if found
+        and not all(is_same_lens_within_calibration_drift(a, b) for a, b in zip(sample.design.cameras, adjusted))
+        else None
+    )
 
 
-def is_same_lens(a: Camera, b: Camera) -> bool:
+def is_same_lens_within_calibration_drift(a: Camera, b: Camera) -> bool:
     """Whether two cameras have the same lens within the drift of a calibrated lens."""
     gap = np.abs(a.matrix[:2] - b.matrix[:2])
     return bool(

@@ -160,7 +160,8 @@ def _stands(stated: SampledRecording, other: Trial) -> bool:
         return True
     ones = list(zip(stated.design.cameras, other.seen.design.cameras, other.measured.design.cameras))
     return all(
-        conventions.is_same_lens(meant, adjusted) or (other.misfit < DONE and conventions.is_same_lens(was, meant))
+        conventions.is_same_lens_within_calibration_drift(meant, adjusted)
+        or (other.misfit < DONE and conventions.is_same_lens_within_calibration_drift(was, meant))
         for was, meant, adjusted in ones
     )
 
@@ -190,7 +191,7 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
         return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], measure_trial(
             other
         )
-    off = [s.name for s, a in zip(stated, adjusted) if not conventions.is_same_lens(s, a)]
+    off = [s.name for s, a in zip(stated, adjusted) if not conventions.is_same_lens_within_calibration_drift(s, a)]
     if first.misfit < GROSS or not off:
         return [], best
     return [
@@ -349,7 +350,7 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
     ones = list(zip(design.cameras, m.design.cameras))
     if not all(
         any(
-            conventions.is_same_lens(trial, seen)
+            conventions.is_same_lens_within_calibration_drift(trial, seen)
             for trial in (stated, *(other for *_, other in conventions.alternative_distortion_conventions(stated)))
         )
         for stated, seen in ones

@@ -10,7 +10,12 @@ from dataclasses import replace
 import numpy as np
 
 from rig.model.design import Camera
-from vision.checks.corner_and_lens_convention_trials import SampledRecording, Trial, is_same_lens, measure_trial
+from vision.checks.corner_and_lens_convention_trials import (
+    SampledRecording,
+    Trial,
+    is_same_lens_within_calibration_drift,
+    measure_trial,
+)
 from vision.corner_observations import observations_from_corners
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners
@@ -27,7 +32,10 @@ def stated_trial_from_other_camera_poses(first: Trial, misfit: float) -> Trial |
         if (
             tried.measured is not None
             and tried.misfit < misfit
-            and all(is_same_lens(meant, found) for meant, found in zip(stated, tried.measured.design.cameras))
+            and all(
+                is_same_lens_within_calibration_drift(meant, found)
+                for meant, found in zip(stated, tried.measured.design.cameras)
+            )
         ):
             return tried
     return None

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import diagnosis_texts
+from calib.diagnosis.report import diagnosis_sentences_and_table_rows
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.report_verdict_and_folder import Report, diagnosis_verdict
 from calib.report.pose_and_effect_figures import effect_sketch
@@ -80,12 +80,14 @@ def write_diagnosis_page(
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
         parts += [heading_html("Where"), machine_figures.where([f.place for f in (*main, *report.unknown, *slight)])]
-    parts.append(paragraph_html(diagnosis_texts.held_out_error_sentence(report.fit, bool(report.named))))
+    parts.append(
+        paragraph_html(diagnosis_sentences_and_table_rows.held_out_error_sentence(report.fit, bool(report.named)))
+    )
     for number, finding in enumerate(main):
         title = (
-            diagnosis_texts.finding_title(finding)
-            + diagnosis_texts.finding_size_text(finding)
-            + diagnosis_texts.assumed_or_seen_before_suffix(finding)
+            diagnosis_sentences_and_table_rows.finding_title(finding)
+            + diagnosis_sentences_and_table_rows.finding_size_text(finding)
+            + diagnosis_sentences_and_table_rows.assumed_or_seen_before_suffix(finding)
         )
         parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, machine_figures)]
     if slight:
@@ -94,8 +96,13 @@ def write_diagnosis_page(
             paragraph_html("These are significant, but held-out data would be predicted as well without them."),
         ]
     for finding in slight:
-        title = diagnosis_texts.finding_title(finding) + diagnosis_texts.finding_size_text(finding)
-        parts += [heading_html(title + diagnosis_texts.assumed_or_seen_before_suffix(finding), 3), *_slight(finding)]
+        title = diagnosis_sentences_and_table_rows.finding_title(
+            finding
+        ) + diagnosis_sentences_and_table_rows.finding_size_text(finding)
+        parts += [
+            heading_html(title + diagnosis_sentences_and_table_rows.assumed_or_seen_before_suffix(finding), 3),
+            *_slight(finding),
+        ]
     shown = machine_figures.in_space()
     parts += [heading_html("In three dimensions"), *shown] if shown else []
     parts += [heading_html("What remains"), *_remaining(report, machine_figures)]
@@ -109,7 +116,7 @@ def write_diagnosis_page(
                 "with no finding admitted, and with all findings. Correlated covariates share what "
                 "they explain."
             ),
-            table_html(*diagnosis_texts.covariate_table_heads_and_rows(report.covariates)),
+            table_html(*diagnosis_sentences_and_table_rows.covariate_table_heads_and_rows(report.covariates)),
         ]
     if report.remarks:
         parts += [
@@ -117,7 +124,9 @@ def write_diagnosis_page(
             paragraph_html(
                 "Significant, but within the tolerance of parts and instruments: nothing to be done about it."
             ),
-            table_html(("what", "size", "reason"), [diagnosis_texts.remark_row(r) for r in report.remarks]),
+            table_html(
+                ("what", "size", "reason"), [diagnosis_sentences_and_table_rows.remark_row(r) for r in report.remarks]
+            ),
         ]
     parts += _left_out(report)
     parts += [
@@ -142,11 +151,15 @@ def write_diagnosis_page(
 
 
 def _finding(finding: FindingEntry, machine_figures: MachineFigures) -> list[str]:
-    plot, sure = machine_figures.plot(finding), diagnosis_texts.evidence_sentence(finding)
+    plot, sure = machine_figures.plot(finding), diagnosis_sentences_and_table_rows.evidence_sentence(finding)
     parts = [] if plot is None else [captioned_html(plot, DOTS)]
-    parts.append(table_html(("parameter", "value", "95 % interval"), diagnosis_texts.parameter_rows(finding)))
+    parts.append(
+        table_html(("parameter", "value", "95 % interval"), diagnosis_sentences_and_table_rows.parameter_rows(finding))
+    )
     parts += [paragraph_html(sure)] if sure else []
-    parts += [paragraph_html(diagnosis_texts.as_sentence(finding.unusual))] if finding.unusual else []
+    parts += (
+        [paragraph_html(diagnosis_sentences_and_table_rows.as_sentence(finding.unusual))] if finding.unusual else []
+    )
     parts += [paragraph_html(f"What to do: {finding.action}")] if finding.action else []
     return parts + _alternatives(finding) + _sketched(finding.effect)
 
@@ -165,7 +178,11 @@ def _sketched(name: str) -> list[str]:
 
 def _slight(finding: FindingEntry) -> list[str]:
     action = [paragraph_html(f"What to do: {finding.action}")] if finding.action else []
-    return [paragraph_html(diagnosis_texts.evidence_sentence(finding)), *action, *_alternatives(finding)]
+    return [
+        paragraph_html(diagnosis_sentences_and_table_rows.evidence_sentence(finding)),
+        *action,
+        *_alternatives(finding),
+    ]
 
 
 def _alternatives(finding: FindingEntry) -> list[str]:
@@ -200,15 +217,17 @@ def _remaining(report: Report, machine_figures: MachineFigures) -> list[str]:
     rows = [
         (
             f.place,
-            diagnosis_texts.value_text(f.parameters["magnitude"].value, f.parameters["magnitude"].unit),
+            diagnosis_sentences_and_table_rows.value_text(
+                f.parameters["magnitude"].value, f.parameters["magnitude"].unit
+            ),
             ", ".join(f.parameters["depends_on"].value) or "scatters more than its noise",
-            diagnosis_texts.probability_text(f.evidence.p_value),
+            diagnosis_sentences_and_table_rows.probability_text(f.evidence.p_value),
         )
         for f in report.unknown
     ]
     return [
         levels,
-        paragraph_html(diagnosis_texts.unexplained_sentence(report.unknown)),
+        paragraph_html(diagnosis_sentences_and_table_rows.unexplained_sentence(report.unknown)),
         table_html(("place", "size (RMS)", "goes with", "chance"), rows),
         *pictures,
     ]
@@ -222,16 +241,21 @@ def _left_out(report: Report) -> list[str]:
     parts += (
         []
         if report.crowd is None
-        else [paragraph_html(diagnosis_texts.as_sentence(diagnosis_texts.outliers_not_excluded_sentence(report.crowd)))]
+        else [
+            paragraph_html(
+                diagnosis_sentences_and_table_rows.as_sentence(
+                    diagnosis_sentences_and_table_rows.outliers_not_excluded_sentence(report.crowd)
+                )
+            )
+        ]
     )
     if report.left_out:
-        rows = [diagnosis_texts.excluded_outlier_texts(one) for one in report.left_out]
+        rows = [diagnosis_sentences_and_table_rows.excluded_outlier_texts(one) for one in report.left_out]
         parts += [
             paragraph_html(
-                f"{diagnosis_texts.row_count_text(len(rows))} far from all that the rest of the recording "
-                "allows, and no neighbour in time or "
-                f"configuration "
-                "shows the same. The findings do not use these rows."
+                f"{diagnosis_sentences_and_table_rows.row_count_text(len(rows))} far from all that the rest of the "
+                "recording allows, and no neighbour in time or configuration shows the same. The findings do not use "
+                "these rows."
             ),
             table_html(("frame", "where", "how far off", "why"), rows),
         ]
@@ -244,9 +268,10 @@ def _suggestions(report: Report) -> list[str]:
     for entry in report.suggestions:
         parts += [
             heading_html(f"A formula for the residual at {entry.place}", 3),
-            paragraph_html(diagnosis_texts.formula_suggestion_sentences(entry)),
+            paragraph_html(diagnosis_sentences_and_table_rows.formula_suggestion_sentences(entry)),
             table_html(
-                ("parameter", "value", "95 % interval"), diagnosis_texts.parameter_rows_of_suggested_formula(entry)
+                ("parameter", "value", "95 % interval"),
+                diagnosis_sentences_and_table_rows.parameter_rows_of_suggested_formula(entry),
             ),
         ]
     return parts
@@ -275,12 +300,12 @@ def _measurement(report: Report, machine_figures: MachineFigures) -> list[tuple[
         "strut_m": ("strut", "m"),
     }
     rows: list[tuple[str, object]] = [
-        (f"noise of a {units[key][0]}", diagnosis_texts.value_text(value, units[key][1]))
+        (f"noise of a {units[key][0]}", diagnosis_sentences_and_table_rows.value_text(value, units[key][1]))
         for key, value in report.noise.items()
         if value is not None and key in units
     ]
     rows += [
-        (f"that noise over what is stated, in {kind}", diagnosis_texts.noise_factor_text(factor))
+        (f"that noise over what is stated, in {kind}", diagnosis_sentences_and_table_rows.noise_factor_text(factor))
         for kind, factor in report.noise_times.items()
     ]
     return machine_figures.measurement() + rows

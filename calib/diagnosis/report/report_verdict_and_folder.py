@@ -20,7 +20,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     WeighedPoses,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
-from calib.diagnosis.report import diagnosis_texts, residual_figures_and_finding_contributions
+from calib.diagnosis.report import diagnosis_sentences_and_table_rows, residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -45,7 +45,7 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     suggested_formula_entries,
     unnamed_finding_entries,
 )
-from calib.diagnosis.report.diagnosis_texts import (
+from calib.diagnosis.report.diagnosis_sentences_and_table_rows import (
     as_sentence,
     assumed_or_seen_before_suffix,
     finding_size_text,
@@ -164,7 +164,9 @@ def summary_sentence(report: Report) -> str:
         )
         left += f", correlated with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        clear = diagnosis_texts.nothing_found_sentence(report.crowd, report.noise_from, report.noise_times)
+        clear = diagnosis_sentences_and_table_rows.nothing_found_sentence(
+            report.crowd, report.noise_from, report.noise_times
+        )
         return f"There is {left}." if left else clear
     main = report.mattering or report.named
     lines = [f"{finding_title(f)}{finding_size_text(f)}{assumed_or_seen_before_suffix(f)}" for f in main]
@@ -210,7 +212,7 @@ def diagnosis_verdict(report: Report) -> Verdict:
 
 def unexplained_sentences(report: Report) -> tuple[str, ...]:
     """Sentences on what a Report leaves unexplained by the model."""
-    named = [f"the model omits {diagnosis_texts.finding_title(f)}" for f in report.mattering]
+    named = [f"the model omits {diagnosis_sentences_and_table_rows.finding_title(f)}" for f in report.mattering]
     unknown = [f"no catalogued effect explains the residual at {f.place}" for f in report.unknown]
     if not report.unknown and report.unexplained is not None:
         unknown = [f"no catalogued effect explains the residual at {report.unexplained.place}"]
@@ -230,7 +232,9 @@ def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
     if report.noise_from == ASSUMED_NOISE:
         missing.append(MissingEvidence("the noise is not stated, so unmodelled effects cannot be tested"))
     if report.noise_times:
-        missing.append(MissingEvidence(diagnosis_texts.noise_excess_text(report.noise_times), STATE_NOISE))
+        missing.append(
+            MissingEvidence(diagnosis_sentences_and_table_rows.noise_excess_text(report.noise_times), STATE_NOISE)
+        )
     if report.left_out:
         count = len(report.left_out)
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
@@ -250,11 +254,9 @@ def write_diagnosis_json(folder: Path, report: Report) -> None:
 def recommended_actions(report: Report) -> list[str]:
     """Recommended actions of a Report: what an owner does next."""
     actions = [
-        f"{diagnosis_texts.finding_title(f)[0].upper()}{diagnosis_texts.finding_title(f)[1:]}: {f.action}".removesuffix(
-            "."
-        )
+        f"{title[0].upper()}{title[1:]}: {f.action}".removesuffix(".")
         for f in report.mattering or report.named
-        if f.action
+        if f.action and (title := diagnosis_sentences_and_table_rows.finding_title(f))
     ]
     if report.named:
         return [*actions, TAKE_IN]

@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.model.base_and_link_tilts import TiltReadings
+from rig.model.base_and_link_tilt_sensors import TiltReadings
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import direction_difference, exp, pose, pose_difference, skew

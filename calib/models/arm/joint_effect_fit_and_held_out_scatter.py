@@ -39,7 +39,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     fit_coordinates_of_effects,
 )
 from rig.model import motion_simulation
-from rig.model.base_and_link_tilts import TiltReadings
+from rig.model.base_and_link_tilt_sensors import TiltReadings
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.base_and_link_tilts import TiltReadings, TiltSensor, linearised_tilts
+from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor, linearised_tilts
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 

@@ -258,10 +258,13 @@ def open_genicam_camera(
     acquirer = HARVESTER.open(name, serial)
     try:
         return GenicamSource(name, acquirer, clock, size, settings, HARVESTER.close, HARVESTER.ptp)
-    except BaseException:
-        acquirer.destroy()
+    except BaseException as error:
+        with suppress(Exception):  # a camera that is gone: what was wrong before is reported
+            acquirer.destroy()
         HARVESTER.close()
-        raise
+        if isinstance(error, CameraError) or not isinstance(error, Exception):
+            raise
+        raise CameraError(f"camera {name!r}: {error_text(error)}") from None
 
 
 def _stamp(buffer: Buffer) -> float | None:

@@ -2,7 +2,7 @@
 in the field.
 """
 
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import TrueCommandsLog
 from rig.driving.emulators.controller_emulator_opening_and_ports import emulator_of_design
+from rig.driving.emulators.emulator_base_classes import TrueCommandsLog
 
 __all__ = ["TrueCommandsLog", "emulator_of_design"]

@@ -15,8 +15,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator, load_user_emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes, parse_faults
+from rig.driving.emulators.emulator_base_classes import Emulator, load_user_emulator
 from rig.driving.emulators.epics import EpicsMotors
 from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
@@ -65,7 +65,7 @@ class EmulatorOptions:
             ) from None
 
 
-def load_emulator(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
+def emulator_of_rig_toml_controller(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
     """Load the emulator of a rig.toml's controller.
 
     Raises RigError for a rig without controller or invalid options.

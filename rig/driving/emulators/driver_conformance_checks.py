@@ -14,9 +14,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.controller_status_and_limits import unit_hint
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
 from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
+from rig.driving.emulators.emulator_base_classes import Emulator
 from rig.driving.emulators.fault_trials import (
     ARRIVED,
     LONGEST,
@@ -42,7 +42,7 @@ ON_RESETS = ("stale-alarm",)  # faults of controllers that are reset, which line
 ONCE, EACH = 4, 12  # trials with a fault at the first move; moves with the fault at one in five
 STEP, RADIUS = 8e-3, 0.3  # m, of a move; of the hexapod where no rig.toml is given
 ZERO_STEP = 1e-3  # m between the zeros of its struts, about the middle of their ranges: positions of both signs occur
-SLOWLY = 0.25  # share of full speed, which a move takes that the axes' own limits do not slow down
+SLOW_SHARE = 0.25  # share of full speed, which a move takes that the axes' own limits do not slow down
 FASTEST, SLOWEST, RAMPS = 0.5, 3.0, 1.0  # times a segment's duration that its move may take, and s more for its ramps
 QUESTIONS = 60  # of one state, at most
 USUAL, FAST, SLOW = (0.01, 0.1), (0.1, 5.0), (2e-4, 0.1)  # m/s, m/s^2; many moves shall take little time, homing long
@@ -117,7 +117,7 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
     driver.open()
     driver.home()
     _require_true_lengths(driver, emulator)
-    for step, share in ((STEP, 1.0), (-STEP / 2, 1.0), (STEP / 4, 1.0), (-STEP, SLOWLY)):
+    for step, share in ((STEP, 1.0), (-STEP / 2, 1.0), (STEP / 4, 1.0), (-STEP, SLOW_SHARE)):
         target = home + step * np.cos(np.arange(len(home)))
         duration = straight_move_segment(driver.lengths(), target, share, driver.controller, driver.mechanism).duration
         try:

@@ -13,9 +13,9 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, emulator_of_design, home_lengths
 from rig.driving.emulators.emulated_axes_and_faults import Faults, parse_faults
+from rig.driving.emulators.emulator_base_classes import Emulator
 from rig.driving.request_and_answer_exchange_with_controller import shown_bytes
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, RigError

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_classes import Emulator
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import Emulator
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_classes import Emulator
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import NM, VERSION
 

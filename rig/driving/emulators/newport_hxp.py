@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.controller_emulator_and_user_line_emulator import LineEmulator
 from rig.driving.emulators.emulated_axes_and_faults import MOTOR, EmulatedMachine, Faults
 from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
+from rig.driving.emulators.emulator_base_classes import LineEmulator
 from rig.driving.protocols.newport_hxp import HXP
 from rig.driving.protocols.poses_of_hexapod_controllers import MM
 from rig.errors import NotConverged
@@ -92,7 +92,10 @@ class NewportHexapod(LineEmulator):
             return self._search(number)
         if function == "PositionerSGammaParametersSet":
             return f"{number} {self._set_profile(words)},"
-        values = self._values(function, words)
+        try:
+            values = self._values(function, words)
+        except (ValueError, IndexError, KeyError):
+            return f"{number} -17,{function}"
         return f"{number} -4,{function}" if values is None else f"{number} 0,{values}"
 
     @property
@@ -118,7 +121,6 @@ class NewportHexapod(LineEmulator):
 
     def _values(self, function: str, words: list[str]) -> str | None:
         """What a function returns, None for one that there is not."""
-        strut = int(words[0][-1]) - 1 if re.fullmatch(r"HEXAPOD\.[1-6]", words[0]) else 0
         axes = self.machine.axes
         texts: dict[str, Callable[[], str]] = {
             "FirmwareVersionGet": lambda: "HXP-D EMULATED V1.0",
@@ -131,10 +133,10 @@ class NewportHexapod(LineEmulator):
         numbers: dict[str, Callable[[], Floats]] = {
             "HexapodPositionCurrentGet": lambda: self.platform.values(self._lengths()),
             "HexapodCoordinateSystemGet": lambda: self.systems[words[1]],
-            "PositionerSGammaParametersGet": lambda: self.profiles[strut],
-            "PositionerUserTravelLimitsGet": lambda: MM * self.limits[strut],
+            "PositionerSGammaParametersGet": lambda: self.profiles[_strut(words)],
+            "PositionerUserTravelLimitsGet": lambda: MM * self.limits[_strut(words)],
             "PositionerMaximumVelocityAndAccelerationGet": lambda: (
-                MM * np.array([axes.speed[strut], axes.acceleration[strut]])
+                MM * np.array([axes.speed[_strut(words)], axes.acceleration[_strut(words)]])
             ),
         }
         return ",".join(f"{value:.9f}" for value in numbers[function]()) if function in numbers else None
@@ -207,7 +209,7 @@ class NewportHexapod(LineEmulator):
 
     def _set_profile(self, words: list[str]) -> int:
         try:
-            strut, profile = int(words[0].rpartition(".")[2]) - 1, np.array([float(word) for word in words[1:]])
+            strut, profile = _strut(words), np.array([float(word) for word in words[1:]])
         except ValueError:
             return -17
         top = MM * np.array([self.machine.axes.speed[strut], self.machine.axes.acceleration[strut]])
@@ -215,3 +217,10 @@ class NewportHexapod(LineEmulator):
             return -17
         self.profiles[strut] = profile
         return 0
+
+
+def _strut(words: list[str]) -> int:
+    """Number of the strut, from 0, that a call's first word names. Raises ValueError for another word."""
+    if not re.fullmatch(r"HEXAPOD\.[1-6]", words[0]):
+        raise ValueError(words[0])
+    return int(words[0][-1]) - 1

@@ -177,7 +177,7 @@ class HXP(LineProtocol):
         found = _ANSWER.fullmatch(line.strip())
         if found is None or int(found[1]) != self._begun:
             return ""
-        self._outcome = self._outcome or int(found[2])  # an error is believed whatever follows it
+        self._outcome, self._begun = int(found[2]), 0  # its number comes round
         return "" if self._outcome in (0, ABORTED) else f"the motion ended with error {self._outcome}"
 
     def _begin(self, call: str, ends_in: int | None = None) -> Dialogue[Verdict]:

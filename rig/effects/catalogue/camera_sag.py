@@ -14,7 +14,7 @@ from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Linear, Parameter
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from rig.model.base_and_link_tilts import GRAVITY, has_gravity_sensor_channels, logged_gravity
+from rig.model.base_and_link_tilt_sensors import GRAVITY, has_gravity_sensor_channels, logged_gravity
 from rig.model.design import Camera
 
 WEIGHT = 9.80665  # m/s^2, for which `yields` is stated

@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.compute.numba_kernels import njit
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.base_and_link_tilts import gravity_at_exposures
+from rig.model.base_and_link_tilt_sensors import gravity_at_exposures
 from rig.model.design import Actuator, Platform
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import (
     UNSTATED,

@@ -21,7 +21,7 @@ from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from rig.model.base_and_link_tilts import BaseTilt
+from rig.model.base_and_link_tilt_sensors import BaseTilt
 from rig.model.design import Camera, Design
 from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement

@@ -30,7 +30,7 @@ from rig.formats.importers.foreign_table_columns import (
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import (
     ambiguity_error,
-    fits_ranges,
+    fits_ranges_within_a_tenth,
     is_likely_length_unit,
     likely_length_units_and_zeros,
     split_header,
@@ -284,7 +284,7 @@ def _unit_within_travel(
     for none, and where both are refused.
     """
     per = {**ANGLES, **LENGTHS}
-    fit = [unit for unit in units if fits_ranges(values / per[unit], ranges)]
+    fit = [unit for unit in units if fits_ranges_within_a_tenth(values / per[unit], ranges)]
     what = "angles" if units[0] == "rad" else "slides"
     message = f"{what} run from {values.min():.6g} to {values.max():.6g}"
     if len(fit) > 1 and refuses_both:

@@ -107,7 +107,7 @@ def known_unit_or_none(word: str) -> str | None:
     return SAME.get(word.lower()) or (word.lower() if word.lower() in (*ALL, *TIMES) else None)
 
 
-def fits_ranges(values: Floats, ranges: Floats) -> bool:
+def fits_ranges_within_a_tenth(values: Floats, ranges: Floats) -> bool:
     """Whether values (n, axes) fit the ranges (axes, 2), with a tolerance of a tenth."""
     low, high = np.asarray(ranges).T
     slack = MOST_BEYOND * (high - low)
@@ -126,7 +126,7 @@ def likely_length_units_and_zeros(
         (u, r)
         for u in units
         for r in zeros
-        if fits_ranges(values / LENGTHS[u] + (home_lengths if r == "home" else 0.0), ranges)
+        if fits_ranges_within_a_tenth(values / LENGTHS[u] + (home_lengths if r == "home" else 0.0), ranges)
     ]
 
 

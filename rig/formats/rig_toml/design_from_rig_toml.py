@@ -21,7 +21,7 @@ from rig.formats.rig_toml.mechanism_entries import (
     mechanism_of_table,
     refuse_tables_unsuited_to_several_hands,
 )
-from rig.model.base_and_link_tilts import ANGLE_UNITS, BaseTilt, TiltSensor
+from rig.model.base_and_link_tilt_sensors import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.design import (
     DICTIONARIES,

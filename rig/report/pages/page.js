@@ -68,13 +68,14 @@ function show(run) {
 
 // How many frames there are; in motion nobody knows beforehand how many there will be.
 function taken(run) {
-  return run.frames ? `frame ${run.frame} of ${run.frames}` : `${run.frame} frames in motion`;
+  return run.frames ? `frame ${run.frame} of ${run.frames}` : `${run.frame} ${run.frame === 1 ? "frame" : "frames"} in motion`;
 }
 
 let asked = null; // the frame at which the operator is asked
 
 function showQuestion(question) {
   at("ask").hidden = !question;
+  if (question && question.frame !== asked) at("reading").value = ""; // typed for another frame
   asked = question ? question.frame : null;
   if (question) at("asked").textContent = question.text;
 }

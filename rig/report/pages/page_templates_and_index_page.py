@@ -139,7 +139,7 @@ def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
 NAME = "index.html"
 KIND = "index"
 DEPTH = 3  # folders down to which pages are looked for, and up to which an index is
-SINCE = {
+LATER_STAGES = {
     "Verification": ("verified", "rig verify calibration.json REC --page verified.html"),
     "Certificate": ("certified", "rig certify calibration.json REC --out certificate.html"),
     "Diagnosis": ("diagnosed", "rig diagnose REC --out found"),
@@ -222,7 +222,7 @@ def _latest_state(pages: Sequence[PageSummary], folder: Path) -> tuple[Verdict, 
         return Verdict(worst_state([page.state for page in pages]), why), []
     states, lines = [calibrated.state], [f"calibrated {date_text(calibrated.changed)}: {calibrated.state}"]
     cards = [f"{heading_html('Calibration', 3)}<p>{_page_html(calibrated, folder)}</p>"]
-    for stage, (participle, step) in SINCE.items():
+    for stage, (participle, step) in LATER_STAGES.items():
         found = next((page for page in pages if page.kind in STAGES[stage]), None)
         if found is not None and found.changed >= calibrated.changed:
             states.append(found.state)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.api.correct import CorrectOptions, correct
-from calib.api.export_to_other_programs import export
+from calib.api.export_calibration_or_recording import export
 from calib.correction.correction import Correction
 from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
 from calib.correction.interpolation_methods_and_interpolated_correction_summands import (

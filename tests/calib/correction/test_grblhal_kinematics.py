@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.correct import CorrectOptions, correct
-from calib.api.export_to_other_programs import ExportOptions, export
+from calib.api.export_calibration_or_recording import ExportOptions, export
 from calib.correction.controller_kinematics_source import grblhal_kinematics_source
 from calib.files import calibration_file
 from rig.cli.command_line import main

@@ -10,12 +10,12 @@ import pytest
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidates
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked_covariates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.diagnosis_texts import covariate_table_heads_and_rows
+from calib.diagnosis.report.diagnosis_sentences_and_table_rows import covariate_table_heads_and_rows
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors

@@ -12,7 +12,7 @@ from calib.diagnosis.engine.formula_search import Library, Quantity, Search
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Reduced
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidates
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint as arm_left
 from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import suggest_joint_formulas as arm_suggestions
 from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses

@@ -8,7 +8,7 @@ import pytest
 from calib.diagnosis.engine.term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import term_parameter_covariance
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidates
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from rig.effects.framework.machine_motion_and_play import play_operator

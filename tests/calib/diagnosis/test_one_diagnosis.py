@@ -16,7 +16,7 @@ from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals i
     _under,
     term_errors_by_temperature_logs,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     NO_CORNERS,
     POSES_ALONE,
     joint_candidates,

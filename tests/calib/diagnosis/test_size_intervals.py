@@ -9,20 +9,20 @@ import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import tolerance_sigmas_from_residuals
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import tolerance_sigmas_from_residuals
 from calib.diagnosis.problems.platform.simultaneous_refinement import (
     Refinement,
     refine_at_fixed_repeated_corner_error,
     refine_operating_point,
 )
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
-    parameter_errors_by_tolerances,
+    parameter_errors_per_tolerance_deviation,
     widen_intervals_by_temperature_logs_and_tolerances,
 )
-from calib.diagnosis.report import diagnosis_texts
+from calib.diagnosis.report import diagnosis_sentences_and_table_rows
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -62,12 +62,12 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """
     prints = blind_cases.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = marker_and_thermometer_tolerances.tolerance_model(refined.marginalised, sensitivities)
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")
     assert 0.5 * SIDE < sigma[list(singles.values())].max() < 1.5 * SIDE and sigma[together] == SIDES.sigma
-    off = parameter_errors_by_tolerances(refined, sensitivities)
+    off = parameter_errors_per_tolerance_deviation(refined, sensitivities)
     assert off[0, together] == 0  # which is what the scale is the size of
     heaviest = max(singles, key=lambda place: abs(off[0, singles[place]]))
     far = {sign: larger(refined.point, heaviest, sign * FAR) for sign in (1, -1)}
@@ -110,12 +110,13 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
     p = value_with_interval_cut_at_bounds(value, "s", (low, high), effect.parameters[1].bounds)
     assert p.open == left_open and p.ci95 == [low, high]
     finding = FindingEntry("warm_up", "strut 2", {"time_constant": p})
-    assert interval in diagnosis_texts.parameter_rows(finding)[0][2] and (
-        left_open is None or f"time_constant 1800.0 s ({interval})" in diagnosis_texts.finding_line(finding)
+    assert interval in diagnosis_sentences_and_table_rows.parameter_rows(finding)[0][2] and (
+        left_open is None
+        or f"time_constant 1800.0 s ({interval})" in diagnosis_sentences_and_table_rows.finding_line(finding)
     )
-    assert (diagnosis_texts.finding_size_text(finding) == ", time constant 1800.0 s (not determined)") is (
-        left_open == "both"
-    )
+    assert (
+        diagnosis_sentences_and_table_rows.finding_size_text(finding) == ", time constant 1800.0 s (not determined)"
+    ) is (left_open == "both")
 
 
 @pytest.mark.parametrize(
@@ -129,6 +130,11 @@ def test_a_time_constant_stays_within_what_makes_sense_and_says_where_it_is_open
 def test_an_interval_that_is_cut_off_at_one_end_says_so(ends, left_open, interval):
     p = value_with_interval_cut_at_bounds(5e-5, "m", ends, (-2e-3, 2e-3))
     finding = FindingEntry("warm_up", "strut 2", {"amplitude": p})
-    assert p.open == left_open and diagnosis_texts.parameter_rows(finding) == [("amplitude", "50 µm", interval)]
-    assert diagnosis_texts.finding_size_text(finding) == f", amplitude 50 µm (95 %: {interval.replace(' µm', '')})"
+    assert p.open == left_open and diagnosis_sentences_and_table_rows.parameter_rows(finding) == [
+        ("amplitude", "50 µm", interval)
+    ]
+    assert (
+        diagnosis_sentences_and_table_rows.finding_size_text(finding)
+        == f", amplitude 50 µm (95 %: {interval.replace(' µm', '')})"
+    )
     assert value_with_interval_cut_at_bounds(1.0, "", (0.5, 2.0), (-3, 3)) == Value(1.0, "", [0.5, 2.0])

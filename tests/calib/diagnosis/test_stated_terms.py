@@ -13,7 +13,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.report.diagnosis_texts import evidence_sentence
+from calib.diagnosis.report.diagnosis_sentences_and_table_rows import evidence_sentence
 from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect_and_place

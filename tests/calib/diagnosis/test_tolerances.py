@@ -10,7 +10,7 @@ import pytest
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS
 from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_common_weights
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, linearise
@@ -76,12 +76,12 @@ def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, d
 def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
     assert (
-        not marker_and_thermometer_tolerances.tolerances_explain_residuals(found.projected(model), found.sigma)
-        and marker_and_thermometer_tolerances.significant_tolerances(model, found) == []
+        not marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
+        and marker_and_thermometer_tolerance_columns.significant_tolerances(model, found) == []
     )
-    tolerant = marker_and_thermometer_tolerances.model_with_tolerances(model, found)
+    tolerant = marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
     assert tolerant.size <= model.size and tolerant.linear.cost() <= model.linear.cost()
     basis, closures = tolerant.linear.columns.parts, tolerant.closure_residual
     assert np.abs(basis[0].T @ tolerant.corner_residual + basis[CLOSURES].T @ closures).max() < 1e-6
@@ -92,11 +92,11 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     scale = effect_list.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
     point = operating_point_of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
     seen = model.linear.project(found.column(model))
     best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
-    assert marker_and_thermometer_tolerances.tolerances_explain_residuals(found.projected(model), found.sigma)
-    assert marker_and_thermometer_tolerances.model_with_tolerances(model, found).linear.cost() == pytest.approx(
+    assert marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
+    assert marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found).linear.cost() == pytest.approx(
         model.linear.cost() - seen.right @ best, rel=1e-9
     )
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
@@ -106,7 +106,7 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
 def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
     written, short = model.linear.project(found.column(model)), found.projected(model)
     assert short.onto == pytest.approx(written.onto, abs=1e-9 * np.abs(written.onto).max())
     assert short.right == pytest.approx(written.right, abs=1e-9 * np.abs(written.right).max())
@@ -117,14 +117,14 @@ def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design)
 def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_them(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerances.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
     candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS))
-    with_tolerances = marker_and_thermometer_tolerances.model_with_tolerances(model, found)
+    with_tolerances = marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
     for candidate in candidates:
         alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, with_tolerances))
         if alone.node == both.node:  # else two sizes are compared
             column = candidate_column(model, candidate, alone.node, sensitivities)
-            share = marker_and_thermometer_tolerances.share_not_explained_by_tolerances(
+            share = marker_and_thermometer_tolerance_columns.share_not_explained_by_tolerances(
                 model, found, column, not len(alone.coefficients)
             )
             assert share * alone.delta_chi2 * alone.dispersion == pytest.approx(
@@ -167,8 +167,8 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     )
     problem = PlatformProblem(point, candidates)
     fit = problem.start()
-    found = marker_and_thermometer_tolerances.tolerance_model(fit.refined.model, problem.sensitivities)
-    assert marker_and_thermometer_tolerances.tolerances_explain_residuals(
+    found = marker_and_thermometer_tolerance_columns.tolerance_model(fit.refined.model, problem.sensitivities)
+    assert marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(
         found.projected(fit.refined.model), found.sigma
     )
     best = problem.search(problem.residual(fit), candidates)[0]

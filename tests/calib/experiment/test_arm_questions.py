@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.api.next_experiment import evaluate_experiment
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_planned_poses
 from calib.experiment.arm_diagnosis_questions_and_predicted_recording import open_questions_of_arm_diagnosis
 from rig.cli.command_line import main

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import poses_with_platform_tilts
 from rig.errors import RigError
-from rig.model.base_and_link_tilts import TiltReadings, TiltSensor
+from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor
 from rig.model.pose import exp, pose_difference
 
 ROTATION, POSITION, TILT, SHARED = 3e-4, 5e-5, 3e-5, 2e-4

@@ -16,7 +16,7 @@ from calib.report.pose_and_effect_figures import (
 )
 from rig.cli.command_line import main
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
-from rig.formats.output_files import CommandOutputs
+from rig.formats.output_files import MANIFEST, CommandOutputs
 from rig.planning import plan
 from rig.report.pages.page_templates_and_index_page import (
     Page,
@@ -25,7 +25,7 @@ from rig.report.pages.page_templates_and_index_page import (
     write_index_page,
     write_page,
 )
-from rig.report.pages.project_stages import date_text
+from rig.report.pages.project_stages import date_text, list_project_files
 from rig.report.verdict_refutations_and_result_display import State, Verdict
 from tests.conftest import ROOT
 
@@ -100,6 +100,14 @@ def test_an_index_states_the_latest_calibration_and_what_was_found_since(tmp_pat
     write_index_page(tmp_path / "index.html", tmp_path)
     found = read_page_summary(tmp_path / "index.html")
     assert found.state == State.BAD and f"verified {date_text(5 * day)}: bad" in found.why
+
+
+def test_a_folder_with_an_unreadable_manifest_is_left_out_of_the_index(tmp_path):
+    for name in ("sound", "broken"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "rig.toml").write_text("")
+    (tmp_path / "broken" / MANIFEST).write_text("{")
+    assert [file.path.parent.name for file in list_project_files(tmp_path, 3)] == ["sound"]
 
 
 def test_an_index_is_refused_where_it_cannot_be(tmp_path, capsys):

@@ -1,10 +1,12 @@
 """rig stop sends its bytes before anything that takes time is imported."""
 
 import contextlib
+import errno
 import os
 import select
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -133,8 +135,23 @@ def test_priority_is_raised_where_that_is_permitted_and_only_until_the_stop_is_s
     permitted = os.sched_getscheduler(0)
     os.sched_setscheduler(0, before, os.sched_param(0))
     with real_time_priority():
-        assert os.sched_getscheduler(0) == permitted
-    assert os.sched_getscheduler(0) == before
+        assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == permitted
+        inherited = []
+        thread = threading.Thread(target=lambda: inherited.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+    assert os.sched_getscheduler(0) == before and inherited == [before]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="priorities of real time are Linux's")
+@pytest.mark.parametrize("function", ["sched_getscheduler", "sched_setscheduler"])
+def test_a_system_without_such_priorities_does_not_prevent_a_stop(monkeypatch, function):
+    def refused(*_):
+        raise OSError(errno.ENOSYS, "not implemented")
+
+    monkeypatch.setattr(os, function, refused)
+    with real_time_priority():
+        pass
 
 
 def seconds_to_first_byte(code, *words, ours):

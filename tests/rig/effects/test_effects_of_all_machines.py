@@ -16,7 +16,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
-from rig.model.base_and_link_tilts import GRAVITY
+from rig.model.base_and_link_tilt_sensors import GRAVITY
 from rig.model.design import Actuator, Arm, Design, Planar2, Platform
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors

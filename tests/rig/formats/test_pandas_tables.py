@@ -13,7 +13,7 @@ from calib.certification.uncertainty_budget import BUDGET_COLUMNS, Budget, Contr
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.errors import MissingLibrary
-from rig.formats.pandas_tables import POSE_COLUMNS, pandas_table
+from rig.formats.pandas_tables import POSE_COLUMNS_WITH_UNITS, pandas_table
 from rig.model.pose import pose
 from rig.recording.recording_tables import Poses
 
@@ -28,16 +28,19 @@ def plain_tables(monkeypatch):
 
 def test_poses_are_a_table_with_units_in_its_columns(plain_tables):
     table = POSES.to_pandas()
-    assert list(table) == ["frame", *POSE_COLUMNS, *(f"sigma_{name}" for name in POSE_COLUMNS)]
+    assert list(table) == ["frame", *POSE_COLUMNS_WITH_UNITS, *(f"sigma_{name}" for name in POSE_COLUMNS_WITH_UNITS)]
     assert table["x_m"].tolist() == [1, 0] and table["sigma_rz_rad"].tolist() == pytest.approx([2e-3, 2e-3])
-    assert list(replace(POSES, covariance=None).to_pandas()) == ["frame", *POSE_COLUMNS]
+    assert list(replace(POSES, covariance=None).to_pandas()) == ["frame", *POSE_COLUMNS_WITH_UNITS]
 
 
 def test_a_verification_is_a_table_of_errors(plain_tables):
     before, after = np.arange(12.0).reshape(2, 6), np.ones((2, 6))
     figures = SimpleNamespace(before=before, after=after, samples=SimpleNamespace(frame=np.array([3, 5])))
     table = VerificationResult(None, None, figures).to_pandas()
-    assert list(table) == ["frame", *(f"{side}_{name}" for side in ("nominal", "corrected") for name in POSE_COLUMNS)]
+    assert list(table) == [
+        "frame",
+        *(f"{side}_{name}" for side in ("nominal", "corrected") for name in POSE_COLUMNS_WITH_UNITS),
+    ]
     assert table["nominal_rz_rad"].tolist() == [5, 11] and table["frame"].tolist() == [3, 5]
 
 

@@ -26,7 +26,10 @@ from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
 from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import has_continuous_parameters
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import JointCandidate, JointScore
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    JointCandidate,
+    JointScore,
+)
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     FINE,
@@ -40,8 +43,8 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
 )
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
+    candidate_column_at_scanned_parameters,
     candidate_with_grid_nodes,
-    column_of_score,
     score_candidates,
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses
@@ -119,7 +122,7 @@ class ArmProblem:
         return [other for i in best for other in self.search(model, [candidate_with_grid_nodes(candidate, [grid[i]])])]
 
     def column(self, model: Fit, score: JointScore) -> Column:
-        return column_of_score(model, score)
+        return candidate_column_at_scanned_parameters(model, score)
 
     def add_term(self, fit: Fit, score: JointScore) -> Fit:
         return fit.with_terms([Term.of(score)])

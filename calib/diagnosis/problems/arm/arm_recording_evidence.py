@@ -34,7 +34,7 @@ from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals i
     finding_parameters,
     term_errors_by_temperature_logs,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     JointCandidate,
     findings_of_effects_fitted_before_search,
     fit_of_effects_shown_by_instruments,

@@ -19,7 +19,7 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
 from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_direction_weights, solve_with_prior
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import (
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     SPAN,
     Form,
     JointCandidate,

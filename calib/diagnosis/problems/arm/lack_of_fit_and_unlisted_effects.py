@@ -34,7 +34,7 @@ from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals i
     has_continuous_parameters,
     term_parameter_covariance,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import joint_candidate
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidate
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses

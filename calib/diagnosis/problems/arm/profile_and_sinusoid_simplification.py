@@ -10,7 +10,12 @@ from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals i
     has_continuous_parameters,
     optimise_nonlinear_parameters,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import OWN_ANGLE, SPAN, Form, JointCandidate
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    OWN_ANGLE,
+    SPAN,
+    Form,
+    JointCandidate,
+)
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans

@@ -16,7 +16,10 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
 from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import JointCandidate, JointScore
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    JointCandidate,
+    JointScore,
+)
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Columns, Part
 from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter, robust_weights
 from rig.array_and_json_types import Booleans, Floats

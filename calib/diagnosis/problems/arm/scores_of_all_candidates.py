@@ -20,7 +20,11 @@ from calib.diagnosis.engine.reduced_least_squares import (
     sinusoid_sums,
     solve_with_prior,
 )
-from calib.diagnosis.problems.arm.joint_candidates_and_instrument_effects import Form, JointCandidate, JointScore
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    Form,
+    JointCandidate,
+    JointScore,
+)
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
 from rig.array_and_json_types import Floats, Integers
 
@@ -68,7 +72,7 @@ def joint_motion_normal_equations_by_frame(fit: Fit, joint: int | None) -> Frame
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)
 
 
-def column_of_score(fit: Fit, score: JointScore) -> Column:
+def candidate_column_at_scanned_parameters(fit: Fit, score: JointScore) -> Column:
     """Column (1) of a Score's candidate at its scanned parameters.
 
     Whitened, freedoms not yet projected out.

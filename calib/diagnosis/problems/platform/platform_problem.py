@@ -16,7 +16,7 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.platform import lack_of_fit_beyond_all_candidates as remainder
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerances
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     PlatformScore,
@@ -80,13 +80,13 @@ class PlatformProblem:
         if self.tolerant:
             return False
         model = fit.refined.marginalised
-        found = marker_and_thermometer_tolerances.tolerance_model(model, self.sensitivities)
+        found = marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if not marker_and_thermometer_tolerances.tolerances_explain_residuals(seen, found.sigma):
+        if not marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
             return False
-        return best is None or marker_and_thermometer_tolerances.log_likelihood_ratio_with_tolerances(
+        return best is None or marker_and_thermometer_tolerance_columns.log_likelihood_ratio_with_tolerances(
             seen, found.sigma
         ) > float(best.raw_delta_bic(model.size))
 
@@ -131,8 +131,12 @@ class PlatformProblem:
 
     def model_beyond_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
-        found = marker_and_thermometer_tolerances.tolerance_model(model, self.sensitivities) if self.tolerant else None
-        return model if found is None else marker_and_thermometer_tolerances.model_with_tolerances(model, found)
+        found = (
+            marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
+            if self.tolerant
+            else None
+        )
+        return model if found is None else marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.model_without_term(fit, number)

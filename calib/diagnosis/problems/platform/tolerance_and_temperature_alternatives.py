@@ -28,7 +28,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.marker_and_thermometer_tolerances import (
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import (
     SignificantTolerance,
     model_with_tolerances,
     share_not_explained_by_tolerances,
@@ -339,7 +339,7 @@ def widen_intervals_by_temperature_logs_and_tolerances(
         half
         for half in (
             parameter_errors_by_temperature_logs(refinement),
-            parameter_errors_by_tolerances(refinement, sensitivities),
+            parameter_errors_per_tolerance_deviation(refinement, sensitivities),
         )
         if half is not None
     ]
@@ -368,7 +368,7 @@ def parameter_errors_by_temperature_logs(refinement: Refinement) -> Floats | Non
     return refinement.covariance @ refinement.model.linear.project(both).gram[:own, own:]
 
 
-def parameter_errors_by_tolerances(refinement: Refinement, sensitivities: Sensitivities) -> Floats | None:
+def parameter_errors_per_tolerance_deviation(refinement: Refinement, sensitivities: Sensitivities) -> Floats | None:
     """Errors (c, q) of fitted coordinates per standard deviation of manufacturing tolerances, or None.
 
     What an effect is the size of is nothing that it

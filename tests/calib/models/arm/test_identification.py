@@ -13,7 +13,7 @@ from calib.models.arm.error_model_and_observations import Observations, pose_obs
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import NotEnoughData
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.base_and_link_tilts import TiltReadings, TiltSensor
+from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import exp, log, pose, pose_difference
 from tests.calib import secret_arms as worlds

@@ -529,6 +529,24 @@ def test_genicam_cameras_share_one_harvester_until_the_last_is_closed(monkeypatc
     assert len(made) == 2 and made[1].down
 
 
+def test_a_camera_that_goes_while_it_is_opened_leaves_the_harvester_to_others(monkeypatch):
+    class Gone:
+        remote_device = property(lambda self: self.destroy())
+
+        def destroy(self):
+            raise RuntimeError("the device is gone")
+
+    harvester = types.SimpleNamespace(
+        device_info_list=[types.SimpleNamespace(serial_number="A1")], create=lambda which: Gone(), reset=lambda: None
+    )
+    made = []
+    monkeypatch.setattr(genicam_discovery, "_harvester_of_producers", lambda name: made.append(name) or harvester)
+    for _ in range(2):
+        with pytest.raises(CameraError, match="'cam0'.*the device is gone"):
+            open_camera(camera("genicam:A1"), Ticking())
+    assert len(made) == 2
+
+
 class Raising:
     """A node, or a buffer, that raises genicam's errors."""
 

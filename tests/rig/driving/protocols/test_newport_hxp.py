@@ -149,3 +149,17 @@ def test_the_struts_travel_and_speed_are_compared_with_those_of_rig_toml(driven_
     emulator.limits[2, 1] -= 5e-3
     (warning,) = driver.limit_warnings()
     assert warning.startswith("strut 3: the controller travels") and "user travel limits" in warning
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "GroupStatusStringGet(,char *)",
+        "HexapodCoordinateSystemGet(HEXAPOD)",
+        "PositionerSGammaParametersGet(HEXAPOD.7,double *)",
+        "PositionerSGammaParametersSet(HEXAPOD.0,1,1,1,1)",
+    ],
+)
+def test_a_call_with_wrong_words_is_refused_by_the_emulator(driven_design, call):
+    emulator = emulated_driver_with_emulator_and_clock(driven_design, "hxp", (), 1)[1]
+    assert emulator.answer(f"7 {call}").startswith("7 -17,")
