@@ -1,12 +1,14 @@
 """`rig run --settle ask` at an emulated controller: somebody answers at a pseudo-terminal, or on the run's page."""
 
+import fcntl
 import http.client
 import os
 import pty
 import re
 import select
 import signal
-import sys
+import subprocess
+import termios
 import time
 
 import numpy as np
@@ -14,7 +16,7 @@ import pytest
 
 from rig.driving.run_journal import Ended, Exposed, read_journal
 from rig.recording import recording_folder
-from tests.cli import run
+from tests.cli import RIG, run
 from tests.emulated_run import EmulatedRig
 
 INSTRUMENT = '\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = 2e-5\nrotation_sigma = 1e-4\n'
@@ -32,13 +34,17 @@ class Operator:
     """`rig run` at a pseudo-terminal of its own. shown : all that it has shown"""
 
     def __init__(self, *words):
-        self.process, self._terminal = pty.fork()
-        if not self.process:
-            from rig.cli.command_line import main
-
-            sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w", 1), open(2, "w", 1)  # noqa: SIM115
-            os._exit(main([str(word) for word in words]))
-        self.shown, self.status = "", None
+        self._terminal, its_end = pty.openpty()
+        self._process = subprocess.Popen(
+            [*RIG, *map(str, words)],
+            stdin=its_end,
+            stdout=its_end,
+            stderr=its_end,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        os.close(its_end)
+        self.shown = ""
 
     def sees(self, pattern, seconds=60):
         """The match of a pattern in what is shown since the last one, waited for."""
@@ -55,9 +61,9 @@ class Operator:
 
     def ends(self):
         """Exit status, once it has ended."""
-        _, status = os.waitpid(self.process, 0)
+        status = self._process.wait()
         os.close(self._terminal)
-        return os.waitstatus_to_exitcode(status)
+        return status
 
 
 def exposed(out):
