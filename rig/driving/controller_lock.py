@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
 from rig.errors import LinkLost, RigError
+from rig.model.protocol_and_port_names import USUAL_PORTS
 
 ABSTRACT = sys.platform == "linux" and hasattr(socket, "AF_UNIX")
 LOOK = 0.05  # s between looks at a lock
@@ -164,7 +165,6 @@ def _address(name: str) -> tuple[str, int]:
 KILLED = 2.0  # s in which a process that was killed is gone
 KILL: int = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process at once by either
 STOP = b"stop"  # what is sent to a process that this user may not signal
-USUAL_PORTS = {"ca": 5064, "xps": 5001}  # of URLs that name none
 _held: set[socket.socket] = set()  # of this process, which no forked child may hold on to
 
 
@@ -224,20 +224,6 @@ class ControllerLock:
                     caller.settimeout(LOOK)
                     if self._open and _received(self._sockets[held], caller) == STOP:
                         _end_this_process()
-
-
-def stop_lock_holder(port: str, clock: Clock, timeout: float, usb_id: str = "") -> int | None:
-    """Stop the process that holds a controller's lock.
-
-    It halts the struts and ends, or is killed after `timeout`.
-    timeout : s after which one that has not is killed
-    Returns its number, or None where nobody drives. Raises RigError where it does not let go
-    """
-    holder = ask_lock_holder_to_end(port, usb_id)
-    if holder is None:
-        return None
-    await_end_of_lock_holder(holder, port or usb_id, clock, timeout)
-    return holder.pid
 
 
 def ask_lock_holder_to_end(port: str, usb_id: str = "") -> LockHolder | None:

@@ -192,10 +192,7 @@ class PositionReport:
 TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
 ANEW = f"the controller has restarted since the last contact; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
-UNIT_ERROR_RATIOS = (
-    500.0,
-    2000.0,
-)  # times by which a length is off where millimetres were taken for metres, and the like
+UNIT_ERROR_RATIOS = (500.0, 2000.0)  # by which a length is off where mm were taken for m, and the like
 CANNOT_HOME = (
     "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "
     "rig jog --unlock, "

@@ -17,8 +17,9 @@ from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
 from rig.errors import LinkLost
+from rig.model.protocol_and_port_names import USUAL_PORTS
 
-SCHEME, USUAL_PORT = "xps", 5001
+SCHEME = "xps"
 PATIENCE = 2.0  # s to connect
 MOST_OF_SOCKET = 65536  # bytes of a read
 END = ",EndOfAPI"
@@ -67,7 +68,7 @@ class NewportPort:
     def __init__(self, url: str, clock: Clock) -> None:
         self._url, self._clock, self._lock = url, clock, threading.RLock()
         parts = urlsplit(url)
-        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORT)
+        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORTS[SCHEME])
         self._connections: list[_Connection] = []
         try:
             for _ in range(3):

@@ -15,8 +15,8 @@ from rig.model import mechanisms
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
 from rig.model.pose import pose_to_vector
+from rig.recording.recording_tables import POSE_UNITS
 
-UNITS = ("m", "m", "m", "rad", "rad", "rad")
 FORMS = {3: "x y z", 6: "x y z rx ry rz"}
 
 
@@ -51,7 +51,7 @@ class ReadingForm:
         if len(words) not in sizes:
             wanted = " or ".join(f"{size} figures ({FORMS[size]})" for size in sizes) or "nothing: enter no figures"
             raise RigError(f"no reading: {len(words)} figures; expected {wanted}")
-        found = self.units.si(values, UNITS[: len(words)])
+        found = self.units.si(values, POSE_UNITS[: len(words)])
         if np.abs(found[:3]).max() > LARGEST_RIG:
             raise RigError(
                 f"no reading: a position of {words[int(np.abs(found[:3]).argmax())]} {self.units.length} is implausible"

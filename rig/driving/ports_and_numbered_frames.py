@@ -31,7 +31,7 @@ from rig.driving import newport_port
 from rig.driving.clock import Clock
 from rig.driving.newport_port import NewportPort
 from rig.errors import LinkLost, MissingLibrary
-from rig.model.protocol_and_port_names import port_problem
+from rig.model.protocol_and_port_names import USUAL_PORTS, port_problem
 
 WRITE_TIME = 2.0  # s that a write may take
 MOST_SERIAL = 4096  # bytes of a read
@@ -177,7 +177,7 @@ def _checksum(body: str) -> str:
     return f"{binascii.crc_hqx(body.encode('latin-1'), 0xFFFF):04X}"
 
 
-SCHEME, USUAL_PORT = "ca", 5064
+SCHEME = "ca"
 PATIENCE = 2.0  # s to connect; in which the server answers
 MOST_OF_SOCKET = 65536  # bytes of a read
 TEXTS = ("EGU", "RTYP", "VERS", "DESC", "DTYP")  # fields that are read as texts
@@ -199,7 +199,7 @@ class ChannelAccessPort:
         self._ca: Any = caproto
         self._url, self._clock = url, clock
         parts = urlsplit(url)
-        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORT)
+        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORTS[SCHEME])
         try:
             self._socket = socket.create_connection(address, timeout=PATIENCE)
         except OSError as error:

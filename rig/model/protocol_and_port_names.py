@@ -9,14 +9,10 @@ from urllib.parse import urlsplit
 PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics")
 TAKE_POSES = ("gcs-hexapod", "hxp")  # controllers of hexapods, with kinematics and frames of their own
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
+USUAL_PORTS = {"ca": 5064, "xps": 5001}  # of URLs that name none
 SHOWN = 80  # characters of a port's name that a message repeats
-SCHEMES = (
-    "socket",
-    "rfc2217",
-    "loop",
-    "ca",
-    "xps",
-)  # of ports that are no device; pyserial knows others, which write files or search for devices
+# of ports that are no device; pyserial knows others, which write files or search for devices
+SCHEMES = ("socket", "rfc2217", "loop", *USUAL_PORTS)
 
 
 def port_problem(port: str) -> str | None:

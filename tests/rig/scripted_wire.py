@@ -2,6 +2,7 @@
 says.
 """
 
+from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import LinkLost
 
 
@@ -30,3 +31,14 @@ class ScriptedPort:
 
     def close(self):
         pass
+
+
+def talk(protocol, script, clock, what=None):
+    """What a protocol's greeting returns, or what is said after it, with all of a script said."""
+    port = ScriptedPort(script, clock)
+    link = Link(protocol, lambda: port, clock)
+    link.connect(0)
+    done = link.run(protocol.hello())
+    done = done if what is None else link.run(what(protocol))
+    assert port.script == []
+    return done

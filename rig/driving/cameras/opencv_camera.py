@@ -10,7 +10,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable
-from queue import Empty, SimpleQueue
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from rig.driving.cameras.camera_interface_and_user_cameras import UNIFORM, CameraError, ClockOffset, Frame
@@ -223,12 +223,19 @@ T = TypeVar("T")
 
 
 def _result_within(seconds: float, call: Callable[[], T]) -> T | None:
-    """What a call returns, None where it takes longer."""
-    results: SimpleQueue[T] = SimpleQueue()
-    threading.Thread(target=lambda: results.put(call()), daemon=True).start()
+    """What a call returns, None where it takes longer. Raises what the call raises."""
+    result: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            result.set_result(call())
+        except Exception as error:
+            result.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
     try:
-        return results.get(timeout=seconds)
-    except Empty:
+        return result.result(timeout=seconds)
+    except TimeoutError:
         return None
 
 

@@ -68,7 +68,8 @@ class HXP(LineProtocol):
         self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool)
         self._position, self._homed = POSITIONS[0], False
         self._systems: list[Floats] = []
-        self._begun, self._outcome = 0, None  # type: int, int | None
+        self._begun: int | None = None  # number of the motion that is not answered yet
+        self._outcome: int | None = None
 
     def hello(self) -> Dialogue[str]:
         firmware = yield from self._called("FirmwareVersionGet(char *)")
@@ -177,14 +178,14 @@ class HXP(LineProtocol):
         found = _ANSWER.fullmatch(line.strip())
         if found is None or int(found[1]) != self._begun:
             return ""
-        self._outcome, self._begun = int(found[2]), 0  # its number comes round
+        self._outcome, self._begun = int(found[2]), None  # its number comes round
         return "" if self._outcome in (0, ABORTED) else f"the motion ended with error {self._outcome}"
 
     def _begin(self, call: str, ends_in: int | None = None) -> Dialogue[Verdict]:
         """Send a call once that is answered at its end, and wait until it has begun. ends_in : group state after it"""
         self._number = self._begun = self._number % (NUMBERS - 1) + 1
         self._outcome = None
-        data = self.encode(f"{self._begun} {call}")
+        data = self.encode(f"{self._number} {call}")
         yield Exchange(data, self._has_outcome, AT_ONCE)
         for _ in range(int(BEGIN / POLL)):
             if self._outcome is not None:

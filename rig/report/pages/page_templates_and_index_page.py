@@ -197,7 +197,7 @@ def list_pages_below_folder(folder: Path) -> list[PageSummary]:
 def write_index_page(path: Path, folder: Path) -> None:
     """Write the index page of a project: its latest state, then all pages and files of a folder, stage by stage.
 
-    path : where it is written before it moves into that folder. Raises FileError for an invalid manifest
+    path : where it is written before it moves into that folder.
     """
     pages, files = list_pages_below_folder(folder), list_project_files(folder, DEPTH)
     stages: dict[str, list[tuple[float, str]]] = {stage: [] for stage in STAGES}

@@ -16,8 +16,7 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
-from rig.driving.clock import SystemClock
-from rig.driving.controller_lock import ControllerLock, stop_lock_holder
+from rig.driving.controller_lock import ControllerLock
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
@@ -26,6 +25,7 @@ from synthetic import secret_machine_and_truth_file
 from tests.cli import run
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig, runner
+from tests.rig.lock_holder import stop_lock_holder
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +247,7 @@ def test_one_process_drives(rig):
         assert re.search(r"process \d+ is driving", printed("status", rig, ok=False))
         with pytest.raises(RigError, match="is driving"):
             ControllerLock(port)
-    assert stop_lock_holder(port, SystemClock(), 0.05) is None
+    assert stop_lock_holder(port, 0.05) is None
 
 
 def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, tmp_path):
@@ -275,9 +275,9 @@ def test_a_process_that_does_not_let_go_is_killed():
     ours, theirs = context.Pipe()
     process = context.Process(target=_hold, args=(theirs,))
     process.start()
-    assert ours.recv() and stop_lock_holder("hung", SystemClock(), 0.05) == process.pid
+    assert ours.recv() and stop_lock_holder("hung", 0.05) == process.pid
     process.join()
-    assert process.exitcode == -signal.SIGKILL and stop_lock_holder("hung", SystemClock(), 0.05) is None
+    assert process.exitcode == -signal.SIGKILL and stop_lock_holder("hung", 0.05) is None
 
 
 def _hold(pipe):

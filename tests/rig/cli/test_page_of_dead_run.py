@@ -11,7 +11,6 @@ import time
 
 import pytest
 
-from docs.make import pictures
 from tests.emulated_run import EmulatedRig, runner
 
 pytestmark = pytest.mark.slow
@@ -29,15 +28,6 @@ def rig(tmp_path_factory):
     made = EmulatedRig(tmp_path_factory.mktemp("dead"))
     yield made.folder / "rig.toml"
     made.close()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    pytest.importorskip("playwright.sync_api", reason="needs the extra `browser`")
-    if pictures.chromium() is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with pictures.browser() as opened:
-        yield opened
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hangs"])

@@ -21,12 +21,13 @@ from rig.cli.command_line import main
 from rig.driving import controller_lock
 from rig.driving import ports_and_numbered_frames as ports
 from rig.driving.clock import SystemClock
-from rig.driving.controller_lock import ControllerLock, lock_names, stop_lock_holder
+from rig.driving.controller_lock import ControllerLock, lock_names
 from rig.driving.ports_and_numbered_frames import SerialPort
 from rig.errors import LinkLost, RigError
 from rig.model.protocol_and_port_names import port_problem
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig
+from tests.rig.lock_holder import stop_lock_holder
 
 TCP = "import rig.driving.controller_lock as lock\nlock.ABSTRACT = False\n"  # as off Linux
 HOLD = (
@@ -37,10 +38,11 @@ HOLD = (
     "flush=True)\n"
 )
 STOP = (
-    "import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.driving.controller_lock import stop_lock_holder\n"
-    "from rig.errors import RigError\n"
-    "try:\n    print(stop_lock_holder(sys.argv[1], SystemClock(), 5.0), flush=True)\nexcept RigError as "
-    "error:\n    print(error, flush=True)\n"
+    "import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.errors import RigError\n"
+    "from rig.driving.controller_lock import ask_lock_holder_to_end, await_end_of_lock_holder\n"
+    "try:\n    holder = ask_lock_holder_to_end(sys.argv[1])\n"
+    "    await_end_of_lock_holder(holder, sys.argv[1], SystemClock(), 5.0)\n"
+    "    print(holder.pid, flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n"
 )
 ENVIRONMENTS = (
     {"XDG_RUNTIME_DIR": "/tmp"},
@@ -114,7 +116,7 @@ def test_processes_that_begin_at_once_are_one(device, before_all):
         for process in several:
             process.kill()
             process.communicate()
-    assert stop_lock_holder(device, SystemClock(), 0.0) is None
+    assert stop_lock_holder(device, 0.0) is None
 
 
 def test_one_device_has_one_name_whatever_path_or_address_leads_there(device, tmp_path):
@@ -165,7 +167,7 @@ def test_a_killed_process_leaves_nothing(device, before_all):
     assert first.stdout.readline() == "held\n"
     first.kill()
     first.communicate()
-    assert stop_lock_holder(device, SystemClock(), 0.0) is None
+    assert stop_lock_holder(device, 0.0) is None
     ControllerLock(device).__exit__()
 
 

@@ -16,7 +16,7 @@ import pytest
 from calib.certification.measuring_limb_identification_and_agreement import Agreement
 from calib.experiment.investigation_folder_and_report import Hypothesis, InvestigationRound, write_investigation_page
 from calib.report.online_learning_and_measuring_limb_pages import write_measuring_limbs_page
-from docs.make import pictures, project
+from docs.make import project
 from rig.report.pages.run_page_server import PageServer
 from synthetic.blind_campaign_page import write_campaign_page
 from synthetic.diagnosis_score import Case, Found, Hidden
@@ -82,15 +82,6 @@ def served():
     server.show(lambda: {**EVENT, "alarms": []}, {"cam0": lambda: encode_jpeg(np.full((48, 64), 90, np.uint8))})
     yield server.url
     server.close()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    pytest.importorskip("playwright.sync_api", reason="needs the extra `browser`")
-    if pictures.chromium() is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with pictures.browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

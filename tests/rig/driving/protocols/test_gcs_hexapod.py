@@ -8,14 +8,13 @@ from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.gcs import GCSHexapod
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
-from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault, FileError, MotionError, PositionLost
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose
 from rig.planning.layout import hexapod_layout_and_camera_placement
+from tests.rig import scripted_wire
 from tests.rig.driving.protocols.test_gcs import IDENTITY
-from tests.rig.scripted_wire import ScriptedPort
 
 AXES = "X Y Z U V W"
 PIVOT = np.array([0.005, -0.003, 0.04])  # m
@@ -40,13 +39,7 @@ def hello(units=("MM",) * 3 + ("DEG",) * 3, pivot=1e3 * PIVOT):
 
 def talk(design, script, what=None):
     clock, protocol = SimulatedClock(), GCSHexapod(design.mechanism, np.zeros(6), None, None)
-    port = ScriptedPort(script, clock)
-    link = Link(protocol, lambda: port, clock)
-    link.connect(0)
-    done = link.run(protocol.hello())
-    done = done if what is None else link.run(what(protocol))
-    assert port.script == []
-    return done
+    return scripted_wire.talk(protocol, script, clock, what)
 
 
 def test_a_move_is_commanded_as_a_pose_about_the_pivot_point(design):

@@ -10,10 +10,9 @@ from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and
 from rig.driving.protocols.newport_hxp import HXP
 from rig.driving.protocols.poses_of_hexapod_controllers import controller_values_of_pose, pose_of_controller_values
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
-from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.errors import ControllerFault
 from rig.model.mechanisms import hexapod
-from tests.rig.scripted_wire import ScriptedPort
+from tests.rig import scripted_wire
 
 SIX = ",".join(["double *"] * 6)
 ZERO = ",".join(["0.000000"] * 6)
@@ -41,13 +40,7 @@ def hello(position="0," + ZERO, state=11):
 def talk(driven_design, pairs, what=None):
     design = replace(driven_design, controller=replace(driven_design.controller, zero=np.zeros(6)))
     clock, protocol = SimulatedClock(), HXP(design.controller, design.mechanism)
-    port = ScriptedPort(lines(*pairs), clock)
-    link = Link(protocol, lambda: port, clock)
-    link.connect(0)
-    done = link.run(protocol.hello())
-    done = done if what is None else link.run(what(protocol))
-    assert port.script == []
-    return done
+    return scripted_wire.talk(protocol, lines(*pairs), clock, what)
 
 
 def turn(axis, degrees):
@@ -163,3 +156,8 @@ def test_the_struts_travel_and_speed_are_compared_with_those_of_rig_toml(driven_
 def test_a_call_with_wrong_words_is_refused_by_the_emulator(driven_design, call):
     emulator = emulated_driver_with_emulator_and_clock(driven_design, "hxp", (), 1)[1]
     assert emulator.answer(f"7 {call}").startswith("7 -17,")
+
+
+def test_the_answer_to_the_urgent_stop_is_no_motions_end(driven_design):
+    protocol = HXP(driven_design.controller, driven_design.mechanism)
+    assert protocol.event("0 -22,GroupMoveAbort(HEXAPOD),EndOfAPI") == ""
