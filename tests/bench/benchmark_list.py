@@ -23,6 +23,7 @@ from tests.bench import (
     live_page_delay,
     masks,
     parameters,
+    peers,
     physics,
     recordings_and_renders,
     scale,
@@ -68,5 +69,6 @@ NAMED = {
     "masks": masks,
     "false_findings": false_findings,
     "motion": exposures_in_motion,
+    "peers": peers,
     "several_faults": several_faults,
 }  # minutes: only where they are named
