@@ -34,6 +34,7 @@ TRUE = {
 }
 T_LEFT_RIGHT = RigidTransform.from_components([0.12, 0.0, 0.01], Rotation.from_rotvec([0.0, -0.3, 0.02]))
 PATIENCE = 600  # s that multical may take
+EXACTLY = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)  # how long rays are sought
 
 
 def rows() -> Iterator[tuple[str, str, str]]:
@@ -79,7 +80,7 @@ def _photograph(folder):
     u, v = (np.indices((HEIGHT * FINER, WIDTH * FINER))[::-1] + 0.5) / FINER - 0.5
     grid = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
     rays = {
-        name: cv2.undistortPoints(grid, K, terms).reshape(HEIGHT * FINER, WIDTH * FINER, 2)
+        name: cv2.undistortPoints(grid, K, terms, criteria=EXACTLY).reshape(HEIGHT * FINER, WIDTH * FINER, 2)
         for name, (K, terms) in TRUE.items()
     }
     rng = np.random.default_rng(SEED)
@@ -159,7 +160,7 @@ def projection_error(K, terms, true_K, true_terms):
     """
     u, v = np.meshgrid(np.arange(0, WIDTH, 40.0), np.arange(0, HEIGHT, 40.0))
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
-    rays = cv2.convertPointsToHomogeneous(cv2.undistortPoints(uv[:, None], true_K, true_terms))
+    rays = cv2.convertPointsToHomogeneous(cv2.undistortPoints(uv[:, None], true_K, true_terms, criteria=EXACTLY))
 
     def off(turn):
         return (cv2.projectPoints(rays, turn, np.zeros(3), K, terms)[0][:, 0] - uv).ravel()
