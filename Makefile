@@ -25,6 +25,7 @@ docs: .venv/.runs
 	$(BIN)/python -m docs.make.rig_toml > docs/rig-toml.md
 	$(BIN)/python -m docs.make.tables > docs/tables.md
 	$(BIN)/python -m docs.make.commands > docs/commands.md
+	$(BIN)/python -m docs.make.validation > docs/validation.md
 	$(BIN)/rig effects document --force --out docs/effects.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 

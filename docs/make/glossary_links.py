@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "glossary.md"
-GENERATED = ("commands.md", "rig-toml.md", "tables.md", "effects.md", "results.md", "gallery.md")
+GENERATED = ("commands.md", "rig-toml.md", "tables.md", "effects.md", "results.md", "gallery.md", "validation.md")
 ROW = re.compile(r'^\| <a id="([\w-]+)"></a>([^|]+?) \| (.+) \|$', re.MULTILINE)
 ROWS = ROW.findall(PAGE.read_text(encoding="utf-8"))  # (anchor, word, meaning)
 FORMS = {  # anchor: the word as pages use it, where that is not the word with or without an s, or is a common word too

@@ -78,11 +78,12 @@ def _section(record: dict[str, Any], before: dict[str, Any] | None) -> str:
         [row["figure"], row["reached"], row["wanted"], *([older.get(row["figure"], "")] if before else [])]
         for row in record["figures"]
     ]
-    lines = [_line(columns), "|" + "---|" * len(columns), *(_line(row) for row in rows)]
+    lines = [line(columns), "|" + "---|" * len(columns), *(line(row) for row in rows)]
     return f"\n## {record['name']}\n\n{_cell(record['title'])}\n\n" + "\n".join(lines) + f"\n\n{made}.\n"
 
 
-def _line(cells: list[str]) -> str:
+def line(cells: list[str]) -> str:
+    """A row of a table in Markdown."""
     return "| " + " | ".join(_cell(text) for text in cells) + " |"
 
 

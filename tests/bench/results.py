@@ -4,7 +4,7 @@ import json
 import sys
 from datetime import UTC, datetime
 
-from docs.make import results
+from docs.make import results, validation
 from tests.bench.benchmark_list import ALL, NAMED
 from tests.bench.result_provenance import ROOT, commit, machine, release
 
@@ -38,7 +38,8 @@ def main() -> None:
         print(f"{name} ..", flush=True)
         keep(name)
     results.PAGE.write_text(results.page(), encoding="utf-8")
-    print(f"written: {results.PAGE.relative_to(ROOT)}")
+    validation.PAGE.write_text(validation.page(), encoding="utf-8")
+    print(f"written: {results.PAGE.relative_to(ROOT)} and {validation.PAGE.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":

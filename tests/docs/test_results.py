@@ -12,7 +12,7 @@ from tests.docs.document_commands import ROOT
 PAGES = [
     path
     for path in (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CHANGELOG.md")
-    if path != results.PAGE and path.name not in ("rig-toml.md", "tables.md", "effects.md")
+    if path != results.PAGE and path.name not in ("rig-toml.md", "tables.md", "effects.md", "validation.md")
 ]
 LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./|docs/)*results\.md#([\w-]+)\)")
 GENERAL = {"results", "figures"}  # words of links that state no figure
