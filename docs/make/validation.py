@@ -28,7 +28,7 @@ PEERS = (
 )
 HEAD = """# Validation
 
-This page answers the questions that a buyer asks first, with measured figures. It is made from the files of \
+This page answers the questions that a new user asks first, with measured figures. It is made from the files of \
 `docs/results` by `python -m docs.make.validation`. All figures, machines and dates are on the page of \
 [results](results.md). Errors are against simulated truth unless a row names a real arm or photographs. They are not \
 traceable: see [uncertainty](uncertainty.md).
@@ -43,18 +43,20 @@ The same data went through each program, on the same computer.
 
 - **OpenCV** is measured with `cv2.aruco.CharucoDetector` and `cv2.calibrateCamera`.
 - **multical** 0.4.0 installs with `pip install multical`, but did not start with the Python 3.11 of this project. It \
-ran with Python 3.10 and `numpy<1.24`. Its principal point is about half a pixel off, as its pinned OpenCV 4.6 has it. \
-The corners are OpenCV's of that version.
+ran with Python 3.10 and `numpy<1.24`. It pins OpenCV 4.6. On the same photograph, that version puts every corner 0.50 px further right and down than OpenCV \
+5.0. The principal point follows.
 - **Kalibr** was not measured. It is built with ROS and has no package on PyPI. `rig import --cameras` reads its files.
 
-`rig lens` turns the camera as photographs allow. So projections are compared after the turn that fits best.
+Photographs of a board do not tell how the camera is turned. So projections are compared after the turn that fits \
+best. Each pair of figures is of the left and the right camera. It is one set of photographs: small differences are \
+chance.
 
 """
 PUBLISHED = """
 ## Other programs, as published
 
-These figures are their authors'. The machines, instruments and poses differ, so no row compares with another, or with \
-the tables above. They show which size of error is usual.
+These figures are their authors'. Machines, instruments and poses differ, so no row ranks one program over another. \
+They show which size of error is usual.
 
 | program | machine | figure | source |
 |---|---|---|---|
@@ -62,11 +64,11 @@ the tables above. They show which size of error is usual.
 
 TPOINT fits a pointing model to stars. Its figure is the RMS of the fit, not of stars kept away. \
 [Mounts that point](pointing.md) shows the same method here. FIGAROH fits the geometry of an arm with Pinocchio. \
-Its figure is of poses kept away, and may be compared with the held-out rows of the real arm above in kind only.
+Its figure is of poses kept away, and is of the same kind as the held-out rows of the real arm above.
 """
 SOURCES = (
     (
-        "TPOINT", "ESO NTT, Nasmyth A, about 60 stars", 'residual 0.8" RMS (2001-12-06); "typically better than 1""',
+        "TPOINT", "ESO NTT, about 60 stars a fit", "residual 0.8 arcsec RMS (Nasmyth A, 2001-12-06)",
         "[ESO, NTT pointing model evolution](http://www.eso.org/sci/facilities/lasilla/telescopes/ntt/metrics/pom.html)",
     ),
     (
@@ -79,10 +81,6 @@ SOURCES = (
         "3.07, 2.83, 2.44 mm with all geometry",
         "[figaroh-examples, held-out protocol, 2026-10-05](https://github.com/thanhndv212/figaroh-examples/blob/"
         "2e4058a45e683d8a458cee25014610ac9535e35c/docs/development/tiago-mocap-heldout-protocol.md)",
-    ),
-    (
-        "FIGAROH's authors", "TALOS humanoid, contacts with a plane", "end-effector errors reduced by a factor of 2.3",
-        "[Nguyen et al., whole-body plane-constrained calibration](https://thanhndv212.github.io/talos-calibration-webpage)",
     ),
 )  # fmt: skip
 
