@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.array_and_json_types import Json
-from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
@@ -113,7 +113,13 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         _grouped(diagnosis_score.figures_by_strength(cases), "signal-to-noise"),
     ]
     if any(c.hidden for c in cases):
-        parts.append(_strengths(cases))
+        parts.append(
+            captioned_html(
+                _strengths(cases),
+                "Each dot is a hidden effect: its outcome against its signal-to-noise over all corners (no unit, as a "
+                "power of ten). Good: strong effects, to the right, are named and placed. Bad: strong ones missed.",
+            )
+        )
     parts += [
         heading_html("Confusion matrix"),
         note_html("Rows: what was hidden. Columns: the name that it was given."),

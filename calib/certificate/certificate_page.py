@@ -180,7 +180,10 @@ def _promise(c: Certificate) -> list[str]:
         certificate_sentences.measured_volume_line(c),
         *certificate_sentences.promise_basis_lines(c),
     )
-    caption = "Share of the held-out poses whose measured position error is no larger; dashed: the promise."
+    caption = (
+        "Share of the held-out poses whose measured position error (µm) is no larger; dashed: the promise. Good: the "
+        "curve reaches 100 % left of the dashed lines. Bad: it crosses one, or has a long tail."
+    )
     return [captioned_html(_error_distribution_figure(c), caption), *map(paragraph_html, lines)]
 
 
@@ -215,7 +218,7 @@ def _cells(c: Certificate) -> list[str]:
         captioned_html(
             _cell_bound_figures(c),
             "The same promise, position in um, for boxes of the volume, each from its own poses, with the stated "
-            "confidence for each.",
+            "confidence for each. Good: alike everywhere. Bad: a dark box; there the machine is worse.",
         ),
         table_html(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows),
     ]
@@ -332,7 +335,13 @@ def _budget(c: Certificate) -> list[str]:
     ]
     return [
         heading_html("Uncertainty contributions (U, coverage 95 %)"),
-        captioned_html(_budget_figure(c), "Contributions to the uncertainty of a position, coverage 95 %."),
+        captioned_html(
+            _budget_figure(c),
+            (
+                "Contributions to the uncertainty of a position (um), coverage 95 %. Good: no bar exceeds the others "
+                "by far. Bad: one long bar; improve that first. An unknown contribution has none."
+            ),
+        ),
         paragraph_html("; ".join(lines) + ". Unknown contributions are in neither."),
         table_html(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
         note_html(

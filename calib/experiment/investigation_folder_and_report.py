@@ -253,7 +253,8 @@ def write_investigation_page(
         captioned_html(
             _odds_figure(rounds),
             "Odds of the hypotheses considered after each recording, from all recordings so far; a hypothesis with no "
-            "equally good alternative is at 1, one that was excluded at 0.",
+            "equally good alternative is at 1, one that was excluded at 0. Good: one line ends at 1. Bad: lines that "
+            "stay between.",
         ),
         heading_html("Experiments"),
         paragraph_html(f"{recording_minutes_spent(rounds):.1f} of {budget:.0f} min of the rig's time."),

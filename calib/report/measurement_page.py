@@ -50,12 +50,12 @@ def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: 
         if camera.name in images
     ]
     return [
-        note_html(
-            "Outlined in green: markers used; in red: at least one corner rejected. Yellow: "
-            f"residuals, {ENLARGED:g} times as "
-            "long as they are. Point at a marker to see its number."
-        ),
-        '<div class="panels">' + "".join(figures) + "</div>",
+        captioned_html(
+            panel_row_html(*figures),
+            "Outlined in green: markers used; in red: at least one corner rejected. Yellow: residuals (px), "
+            f"{ENLARGED:g} times as long as they are. Point at a marker to see its number. Good: few red outlines, "
+            "yellow lines in all directions. Bad: yellow lines of one marker that all point the same way.",
+        )
     ]
 
 
@@ -127,8 +127,9 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         heading_html("Residuals of the cameras"),
         captioned_html(
             _residual_maps(m),
-            "Mean residual over patches of the image, enlarged, on the local RMS. A pattern here indicates lens errors "
-            "that the model omits.",
+            "Arrows: mean residual over patches of the image, enlarged; the longest is stated in px. Blue: RMS of the "
+            "patch, px. Good: arrows in all directions, an even blue. Bad: arrows that turn or grow towards an edge; "
+            "then the lens model omits something.",
         ),
         paragraph_html(
             f"{count_text(m.inliers.sum(), 'corner')} used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} set "
@@ -140,7 +141,8 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         heading_html("Uncertainty of each pose"),
         captioned_html(
             _uncertainty(m, position, rotation),
-            "Standard uncertainty of each pose, position and rotation, including that of the cameras.",
+            "Standard uncertainty of each pose, position (µm) and rotation (µrad), including that of the cameras. "
+            "Good: an even band. Bad: single high dots; those frames show few markers, or to one camera alone.",
         ),
         heading_html("Cameras"),
         _cameras(result.recording, m),
@@ -156,7 +158,11 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
                 "together, fix the frames."
             ),
             _moves(result.places),
-            _residuals(result.places),
+            captioned_html(
+                _residuals(result.places),
+                "RMS residual of the platform's corners (px), frame by frame, with the markers as stated and as "
+                "adjusted. Good: both series coincide. Bad: the stated places leave clearly more.",
+            ),
         ]
     disagreeing = _worst_markers(m)
     if disagreeing:

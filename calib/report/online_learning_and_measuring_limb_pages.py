@@ -63,8 +63,8 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
         heading_html("Innovation of each pose"),
         captioned_html(
             panel_row_html(innovation),
-            "Deviation from the prediction by previous poses, in standard deviations, RMS over the six axes: 1 where "
-            "nothing remains to be learnt.",
+            "Deviation from the prediction by previous poses, in standard deviations, RMS over the six axes. Good: a "
+            "fall to the line at 1, where nothing remains to be learnt. Bad: a sudden rise; something jumped.",
         ),
         paragraph_html(
             f"{count_text(len(result.frames), 'pose')} from {result.source}, learnt one at a time. "
@@ -171,7 +171,8 @@ def write_measuring_limbs_page(
         heading_html("Agreement of each axis with its tolerance"),
         captioned_html(
             panel_row_html(*halves),
-            "95 % of the differences, limbs minus vision, lie within; in bold: axes that do not pass.",
+            "95 % of the differences, limbs minus vision, lie within these limits (µm, µrad), beside the tolerance. "
+            "Good: every bar is shorter than its tolerance. Bad: longer bars; names of such axes are bold.",
         ),
         heading_html("In figures"),
         note_html(

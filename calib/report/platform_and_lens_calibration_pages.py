@@ -68,8 +68,8 @@ def write_platform_calibration_page(
         heading_html("Correction of each strut"),
         captioned_html(
             _corrections(correction, samples),
-            "Dots: each commanded length less the length that the nominal model gives for the measured pose. "
-            "Crosses: the correction.",
+            "Dots: each commanded length less the length that the nominal model gives for the measured pose, in mm or "
+            "mrad. Crosses: the correction. Good: crosses cover the dots. Bad: dots that scatter far from the crosses.",
         ),
         heading_html("Residuals of the correction"),
         _left(samples, identified),
@@ -198,8 +198,9 @@ def _left(samples: Samples, found: Identified) -> str:
         )
         for i in range(struts.shape[1])
     )
-    noise = f"two standard deviations of a measured pose are {2 * sigma:.1f} u{unit} in a {part}."
-    return captioned_html(panel_row_html(*panels), f"What the correction leaves; {noise}")
+    noise = f"Two standard deviations of a measured pose are {2 * sigma:.1f} u{unit} in a {part}."
+    looks = f"Good: dots around 0, nearly all within {2 * sigma:.1f} u{unit}. Bad: a trend, steps, or far dots."
+    return captioned_html(panel_row_html(*panels), f"What the correction leaves, in u{unit}. {noise} {looks}")
 
 
 def _parameters(calibration: Calibration) -> str:
@@ -277,8 +278,10 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
             panel_row_html(
                 _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
             ),
-            "Uncertainty: the standard uncertainty of a projected direction, px, less what a small rotation of the "
-            "camera would compensate. Dots are corners; few or none near an edge increase it there.",
+            "Residuals (px): red ones were rejected. Uncertainty: the standard uncertainty of a projected direction, "
+            "px, less what a small rotation of the camera would compensate. Dots are corners; few or none near an edge "
+            "increase it there. Photographs: held-out residuals of each model, px RMS. Good: arrows in all directions, "
+            "corners up to every edge. Bad: arrows that turn together, empty corners, one photograph far above.",
         ),
         paragraph_html(
             f"{len(lens_calibration.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px "

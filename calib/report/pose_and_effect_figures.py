@@ -113,7 +113,13 @@ def pose_coverage_figures(pose_vectors: Floats) -> str:
         for k, name in enumerate(("rx", "ry", "rz"))
     ]
     panels = panel_row_html(*places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns))
-    return captioned_html(panels, "Positions of the poses, from above and from the side, and the rotation of each.")
+    return captioned_html(
+        panels,
+        (
+            "Positions of the poses (mm), from above and from the side, and the rotation of each (degrees). Good: "
+            "dots over the whole space that is used later. Bad: empty regions, or dots on a line."
+        ),
+    )
 
 
 def correction_error_figures(before: Floats, after: Floats, frames: Integers, poses: str) -> str:
@@ -141,7 +147,14 @@ def correction_error_figures(before: Floats, after: Floats, frames: Integers, po
             for part, label in seen
         )
     )
-    return captioned_html(panels, f"Error of each pose as the nominal model and as the correction have it: {poses}.")
+    return captioned_html(
+        panels,
+        (
+            f"Error of each pose as the nominal model and as the correction have it: {poses}. Position in mm, "
+            "rotation in mrad, on a logarithmic scale. Good: corrected dots far lower, in an even band. Bad: both "
+            "series overlap, or the corrected errors grow with the frames."
+        ),
+    )
 
 
 FITTED = "all poses, including those fitted"

@@ -178,7 +178,11 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
         heading_html("Positions"),
         pose_coverage_figures(pose_to_vector(T)),
         heading_html("Axis by axis"),
-        captioned_html(axes, "What each axis is commanded, configuration by configuration."),
+        captioned_html(
+            axes,
+            "What each axis is commanded (mm or degrees), configuration by configuration. Good: every axis uses its "
+            "whole range, from both directions. Bad: an axis that hardly moves; its errors stay unknown.",
+        ),
         *figures,
     ]
     steps = [

@@ -205,7 +205,11 @@ def _wanted_poses_html(frames: Integers, figures: Figures, stated: tuple[float, 
     )
     return table_html(
         ("deviation from wanted", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]
-    ) + panel_row_html(*drawn)
+    ) + captioned_html(
+        panel_row_html(*drawn),
+        "Deviation of each measured pose from the wanted one, position in mm and rotation in mrad. Good: all within "
+        "the stated uncertainty of the table. Bad: single high dots, or a trend over the frames.",
+    )
 
 
 def _figures(held: HeldOut) -> str:
@@ -257,15 +261,24 @@ def write_visits_page(
         heading_html("Visit by visit"),
         captioned_html(
             panel_row_html(*drawn),
-            f"The alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or more.",
+            "Agreement: deviation of each visit from the calibration over the measurement repeatability, which is 1. "
+            f"Evidence: the alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or "
+            "more. Good: dots near 1, the sum low. Bad: a rise that stays.",
         ),
     ]
     if last.alarm:
         shown = last.suspects[:SHOWN]
         parts += [
             heading_html("Possible changes"),
-            bar_chart_svg(
-                "odds, were there a change", [one.name for one in shown], [("odds", [one.odds for one in shown], 3)], ""
+            captioned_html(
+                bar_chart_svg(
+                    "odds, were there a change",
+                    [one.name for one in shown],
+                    [("odds", [one.odds for one in shown], 3)],
+                    "",
+                ),
+                "Odds (0 to 1) that a part is the one that changed, the likeliest first. Good: one long bar. Bad: "
+                "bars of like length; another visit has to separate them.",
             ),
         ]
     parts += [heading_html("In words"), *(paragraph_html(line.strip()) for visit in visits for line in visit.lines)]

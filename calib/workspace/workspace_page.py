@@ -238,7 +238,13 @@ def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
     maps = ("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
     return [
         heading_html("The workspace"),
-        captioned_html(panel_row_html(*maps), "Cells of the workspace, seen from above and from the side."),
+        captioned_html(
+            panel_row_html(*maps),
+            (
+                "Cells of the workspace, seen from above and from the side; each map states its unit. Darker is more. "
+                "Good: pale and even. Bad: dark cells where the machine is used."
+            ),
+        ),
         *(paragraph_html(f"{line}.") for line in workspace_lines(workspace, unit)),
     ]
 
@@ -273,7 +279,9 @@ def write_workspace_page(
             panel_row_html(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)),
             f"Cells of {workspace.size * 1e3:.3g} mm, projected. Poses: all configurations of "
             "the strokes, all axes free of each "
-            f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}.",
+            f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}. Each "
+            "map states its unit; darker is more. Good: no lost cell, and an even uncertainty. Bad: dark cells where "
+            "the machine is used.",
         ),
         *(paragraph_html(f"{line}.") for line in rest),
     ]

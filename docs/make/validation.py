@@ -43,8 +43,9 @@ The same data went through each program, on the same computer.
 
 - **OpenCV** is measured with `cv2.aruco.CharucoDetector` and `cv2.calibrateCamera`.
 - **multical** 0.4.0 installs with `pip install multical`, but did not start with the Python 3.11 of this project. It \
-ran with Python 3.10 and `numpy<1.24`. It pins OpenCV 4.6. On the same photograph, that version puts every corner 0.50 px further right and down than OpenCV \
-5.0. The principal point follows.
+ran with Python 3.10 and `numpy<1.24`. It pins OpenCV 4.6. \
+On the same photograph, that version puts every corner 0.50 px further right and down than \
+OpenCV 5.0. The principal point follows.
 - **Kalibr** was not measured. It is built with ROS and has no package on PyPI. `rig import --cameras` reads its files.
 
 Photographs of a board do not tell how the camera is turned. So projections are compared after the turn that fits \

@@ -25,12 +25,6 @@ from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import panel_row_html
 
-DOTS = (
-    "Small dots are residuals, large ones means of equal numbers of them with their 95 % interval. Without "
-    "it: the best fit of the calibration "
-    "alone, which absorbs part of it."
-)
-
 
 class MachineFigures(Protocol):
     """Figures that one kind of machine draws of its diagnosis."""
@@ -79,7 +73,14 @@ def write_diagnosis_page(
     main = report.mattering or report.named
     slight = [f for f in report.named if not any(f is m for m in main)]
     if report.findings:
-        parts += [heading_html("Where"), machine_figures.where([f.place for f in (*main, *report.unknown, *slight)])]
+        parts += [
+            heading_html("Where"),
+            captioned_html(
+                machine_figures.where([f.place for f in (*main, *report.unknown, *slight)]),
+                "The machine in outline, not to a stated scale. Coloured: the places of the findings. Good: nothing is "
+                "coloured.",
+            ),
+        ]
     parts.append(
         paragraph_html(diagnosis_sentences_and_table_rows.held_out_error_sentence(report.fit, bool(report.named)))
     )
@@ -152,7 +153,7 @@ def write_diagnosis_page(
 
 def _finding(finding: FindingEntry, machine_figures: MachineFigures) -> list[str]:
     plot, sure = machine_figures.plot(finding), diagnosis_sentences_and_table_rows.evidence_sentence(finding)
-    parts = [] if plot is None else [captioned_html(plot, DOTS)]
+    parts = [] if plot is None else [plot]
     parts.append(
         table_html(("parameter", "value", "95 % interval"), diagnosis_sentences_and_table_rows.parameter_rows(finding))
     )
@@ -171,7 +172,12 @@ def _sketched(name: str) -> list[str]:
     sketch, caption = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
     return [
         folding_section_html(
-            caption, paragraph_html(f"From the catalogue of effects: {sketch.words}."), panel_row_html(*sketch.figures)
+            caption,
+            captioned_html(
+                panel_row_html(*sketch.figures),
+                f"From the catalogue of effects: {sketch.words}. Not of this machine: compare its shape with the "
+                "figure above. Good evidence: both look alike.",
+            ),
         )
     ]
 

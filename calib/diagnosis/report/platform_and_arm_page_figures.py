@@ -33,7 +33,7 @@ from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
 from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
@@ -157,7 +157,13 @@ class ArmFigures:
                     "The poses most displaced by all findings, a bar for each finding, the largest first. "
                     "contributions.csv has them for every pose."
                 ),
-                residual_figures_and_finding_contributions.worst_pose_contribution_figure(self.evidence, d.selection),
+                captioned_html(
+                    residual_figures_and_finding_contributions.worst_pose_contribution_figure(
+                        self.evidence, d.selection
+                    ),
+                    "Contribution of each finding to a pose (µm), side by side; grey: the rest. Good: short grey. Bad: "
+                    "grey as long as the findings.",
+                ),
             ]
         aside = self.evidence.frames_set_aside(d.selection)
         if len(aside):
@@ -203,7 +209,11 @@ class ArmFigures:
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
             series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command repeated", "line", -1))
-        return plot_panel_svg("held-out errors", ("pose", f"error, µ{self.fit.arms.unit}"), series, log=True)
+        return captioned_html(
+            plot_panel_svg("held-out errors", ("pose", f"error, µ{self.fit.arms.unit}"), series, log=True),
+            f"Error of each held-out pose (µ{self.fit.arms.unit}), by the geometry alone and with the effects. Good: "
+            "with effects it is lower, near the line of repeated commands. Bad: both series overlap.",
+        )
 
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
@@ -292,20 +302,24 @@ def _levels(d: Diagnosis, struts: Floats) -> str:
         )
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
-    return panel_row_html(
-        *(
-            bar_chart_svg(
-                "what is left, RMS",
-                labels,
-                [
-                    ("nothing admitted", first.tolist(), 3),
-                    ("as diagnosed", last.tolist(), 0),
-                    ("noise", noise.tolist(), -1),
-                ],
-                unit,
+    return captioned_html(
+        panel_row_html(
+            *(
+                bar_chart_svg(
+                    "what is left, RMS",
+                    labels,
+                    [
+                        ("nothing admitted", first.tolist(), 3),
+                        ("as diagnosed", last.tolist(), 0),
+                        ("noise", noise.tolist(), -1),
+                    ],
+                    unit,
+                )
+                for labels, first, last, noise, unit in rows
             )
-            for labels, first, last, noise, unit in rows
-        )
+        ),
+        "RMS of what is left (µm or µrad of an axis, px of a camera), with nothing admitted, as diagnosed, and the "
+        "noise. Good: as diagnosed equals the noise. Bad: it stays clearly longer; something is unexplained.",
     )
 
 

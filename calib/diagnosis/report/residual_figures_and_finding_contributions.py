@@ -23,10 +23,11 @@ from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation
 )
 from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
+from calib.diagnosis.report.residual_figure_captions import BARS, DOTS, IN_TIME, MAP
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
 from rig.recording.recording_tables import write_table
-from rig.report.pages.html_and_svg_elements import svg_figure, svg_text, svg_tooltip
+from rig.report.pages.html_and_svg_elements import captioned_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
 from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, panel_row_html, plot_panel_svg
 
@@ -112,7 +113,7 @@ def residual_scatter_figure(
             (Series(ends, ends, kind="line", colour=GREY),),
         ),
     )
-    return panel_row_html(
+    figures = panel_row_html(
         *(
             plot_panel_svg(
                 title,
@@ -124,6 +125,7 @@ def residual_scatter_figure(
             for at, values, title, colour, below, more in panes
         )
     )
+    return captioned_html(figures, DOTS)
 
 
 def _means(x: Floats, values: Floats, colour: int) -> Series:
@@ -157,7 +159,8 @@ def residuals_in_time_figure(title: str, t: Floats, values: Floats, residual_lab
         "line",
         AFTER,
     )
-    return plot_panel_svg(title, ("time, min", residual_label), [Series(t / 60, values, colour=GREY), mean], level=0.0)
+    series = [Series(t / 60, values, colour=GREY), mean]
+    return captioned_html(plot_panel_svg(title, ("time, min", residual_label), series, level=0.0), IN_TIME)
 
 
 CELLS = 14  # of a residual map, across the image
@@ -325,9 +328,8 @@ def _bars(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> s
         (text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
         for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
     ]
-    return bar_chart_svg(
-        f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.site.name]
-    )
+    title = f"residuals of every {'cube' if by_target else 'marker'}, RMS"
+    return captioned_html(bar_chart_svg(title, labels, groups, "px", [effect.site.name]), BARS)
 
 
 def mean_residual_figures_over_camera_image(
@@ -345,7 +347,7 @@ def mean_residual_figures_over_camera_image(
     cell = camera.width / CELLS
     drawn = [patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
-    return panel_row_html(
+    figures = panel_row_html(
         *(
             image_plane_figure(
                 f"{camera.name}, {title}",
@@ -356,6 +358,7 @@ def mean_residual_figures_over_camera_image(
             for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))
         )
     )
+    return captioned_html(figures, MAP)
 
 
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile

@@ -83,7 +83,8 @@ def write_arm_calibration_page(
         heading_html("Correction of each joint"),
         captioned_html(
             _profiles(calibration, samples),
-            "Correction of each joint along the visited configurations, excluding its offset.",
+            "Correction of each joint along the visited configurations (mrad or mm), excluding its offset. Good: a "
+            "narrow band, or a smooth wave. Bad: dots without a pattern that are larger than the noise.",
         ),
         heading_html("Positions of the target"),
         pose_coverage_figures(went),
