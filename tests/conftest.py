@@ -198,3 +198,24 @@ def limbed(tmp_path_factory):
         noise=0.04,
     )
     return design, recording_folder.load_recording(folder / "rec"), done
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Headless Chromium of playwright; skips where either is missing."""
+    from docs.make import pictures
+
+    pytest.importorskip("playwright.sync_api", reason="needs the extra `browser`")
+    if pictures.chromium() is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    with pictures.browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def axe():
+    """The code of axe-core; skips where it is missing."""
+    from importlib import resources
+
+    pytest.importorskip("axe_core_python", reason="needs the extra `browser`")
+    return resources.files("axe_core_python").joinpath("axe.min.js").read_text(encoding="utf-8")

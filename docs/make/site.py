@@ -14,6 +14,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[2]
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 TAG = re.compile(r"\\tag\{(\w+)\}")
+SEARCH = 'data-md-component="search" role="dialog"'
 sys.path[:0] = [str(ROOT)]  # the pages are made from this tree
 
 
@@ -37,6 +38,11 @@ def on_files(files: Files, config: Any) -> Files:
 def on_page_content(text: str, **_: Any) -> str:
     """Formulae of a page's HTML as MathML, numbered ones with their number beside."""
     return FORMULA.sub(_formula, text)
+
+
+def on_post_page(output: str, **_: Any) -> str:
+    """The theme's dialog of the search with a name, which readers of screens say."""
+    return output.replace(SEARCH, f'{SEARCH} aria-label="Search"')
 
 
 def _formula(found: re.Match) -> str:

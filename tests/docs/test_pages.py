@@ -6,7 +6,6 @@ import argparse
 import ast
 import re
 import shutil
-import subprocess
 import sys
 from functools import cache
 from html.parser import HTMLParser
@@ -175,20 +174,6 @@ class Loads(HTMLParser):
         )
         if re.match(r"(https?:)?//", place):
             self.from_elsewhere.append(place)
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", folder],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        env={"NO_MKDOCS_2_WARNING": "1", "PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)},
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return folder
 
 
 @pytest.mark.slow

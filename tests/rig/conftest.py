@@ -50,15 +50,3 @@ def ready(driven_design, protocol):
     driver.open()
     driver.home()
     return driver, emulator, clock, home_lengths(driven_design.mechanism)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Headless Chromium of playwright; skips where either is missing."""
-    from docs.make import pictures
-
-    pytest.importorskip("playwright.sync_api", reason="needs the extra `browser`")
-    if pictures.chromium() is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with pictures.browser() as opened:
-        yield opened

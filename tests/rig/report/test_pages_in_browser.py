@@ -7,7 +7,6 @@ page.
 
 import os
 import time
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -59,12 +58,6 @@ def served():
     server.show(lambda: {**EVENT, "alarms": []}, {"cam0": lambda: encode_jpeg(np.full((48, 64), 90, np.uint8))})
     yield server.url
     server.close()
-
-
-@pytest.fixture(scope="module")
-def axe():
-    pytest.importorskip("axe_core_python", reason="needs the extra `browser`")
-    return resources.files("axe_core_python").joinpath("axe.min.js").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("kind", KINDS)
