@@ -79,7 +79,7 @@ class PlanOptions:
             )
         if self.count < 1 or min(self.sigma) <= 0:
             raise RigError(
-                f"--count and --sigma must be positive, got {self.count} and {self.sigma[0]:g} {self.sigma[1]:g}"
+                f"--count and --sigma must be positive, got {self.count} and {self.sigma[0]:g} m {self.sigma[1]:g} rad"
             )
 
 

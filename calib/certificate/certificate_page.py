@@ -61,7 +61,7 @@ def _error_distribution_figure(certificate: Certificate) -> str:
         aside, anchor = (-5, "end") if value > top / 2 else (5, "start")
         parts += [
             f'<path class="mark" d="M{x(value):.1f},{4 + 16 * row}V{bottom}"/>',
-            svg_text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f}", anchor),
+            svg_text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f} um", anchor),
         ]
     parts.append(svg_text((left + right) / 2, bottom + 34, "measured position error, um", "middle"))
     return svg_figure(

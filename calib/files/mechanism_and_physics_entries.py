@@ -148,7 +148,7 @@ def _require_plausible_arm(table: Entries, arm: Arm) -> None:
     for i, (low, high) in enumerate(arm.limits):
         if not low < high:
             table.fail(
-                f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g}",
+                f"{table.name('limits')}[{i + 1}] must run from small to large, not {low:g} .. {high:g} (m or rad)",
                 "limits",
                 i,
                 value=[low, high],

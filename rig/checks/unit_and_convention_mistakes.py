@@ -150,7 +150,7 @@ def environment_mistakes(design: Design) -> Iterator[Mistake]:
             "not the Earth's 9.81 m/s^2",
         )
         yield Mistake(
-            f"rig.toml: gravity is {message}: {size:g}",
+            f"rig.toml: gravity is {message}: {size:g}, read as m/s^2",
             "State environment.gravity in m/s^2 in the base frame",
             False,
             0.7,

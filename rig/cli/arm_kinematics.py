@@ -123,13 +123,13 @@ def _steps_text(steps: list[Json], units: list[str], first: str, done: tuple[str
     lines = []
     for s in steps:
         j = s["joint"]
-        axis = f"the axis through {_three(s['axis']['point'], 1e3)} along {_three(s['axis']['vector'], 1)}"
+        axis = f"the axis through {_three(s['axis']['point'], 1e3)} mm along {_three(s['axis']['vector'], 1)}"
         head = (
             first
             if j == 0
             else (f"joint {j} = {_joints([s['value']], [units[j - 1]])}, {done[units[j - 1] == 'm']} {axis}")
         )
-        points = "  ".join(f"{name} {_three(point, 1e3)}" for name, point in s["points"].items())
+        points = "  ".join(f"{name} {_three(point, 1e3)} mm" for name, point in s["points"].items())
         lines += [f"     {head}", f"       {points}  AB {_three(s['AB'], 1)}  AC {_three(s['AC'], 1)}"]
     return lines
 

@@ -155,7 +155,8 @@ def _print_scale(found: Printed, design: Design) -> None:
         print(
             "check: write into rig.toml "
             + "; ".join(
-                f"marker = {side * found.mean_scale:.6f} (target {name}, stated {side:.6f})"
+                f"marker = {side * found.mean_scale:.6f} m or {side * found.mean_scale * 1e3:.3f} mm (target {name}, "
+                f"stated {side:.6f} m)"
                 for name, side in _stated_sides(design)
             )
         )

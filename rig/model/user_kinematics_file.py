@@ -54,7 +54,8 @@ class Axis:
             _require_size(f"the travel of axis {self.name!r}", value, self.unit, LARGEST)
         if not self.low < self.high:
             raise ValueError(
-                f"the travel of axis {self.name!r} must run from small to large, not {self.low:g} .. {self.high:g}"
+                f"the travel of axis {self.name!r} must run from small to large, not {self.low:g} .. {self.high:g} "
+                f"{self.unit}"
             )
 
 

@@ -179,14 +179,15 @@ def _with_forward(file: KinematicsFile) -> KinematicsFile:
         if not off.max() < ROUND_TRIP:
             k = int(np.argmax(np.nan_to_num(off, nan=np.inf)))
             raise file.error(
-                f"inverse(forward(values)) is {off[k]:.3g} off values {values[whole][k].round(6).tolist()}: they "
-                "are no round trip",
+                f"inverse(forward(values)) is {off[k]:.3g} off values {values[whole][k].round(6).tolist()} (m or rad): "
+                "they are no round trip",
                 "forward",
             )
     left = poses_with_locked_coordinates_at_home(file, file.forward(home[None], file.nominal))[0] - file.home
     if not np.abs(left).max() < ROUND_TRIP:
         raise file.error(
-            f"forward(inverse(home)) is {np.abs(left).max():.3g} off home: it gives another assembly", "forward"
+            f"forward(inverse(home)) is {np.abs(left).max():.3g} off home (m or rad): it gives another assembly",
+            "forward",
         )
     return file
 

@@ -130,7 +130,9 @@ def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
     for i, (low, high) in enumerate(strokes):
         mine = np.flatnonzero(axis == i + 1)
         for k in mine[(level[mine] < low) | (level[mine] > high)]:
-            rows.fail(f"the level {level[k]:g} of axis {i + 1} is beyond its stroke, {low:g} to {high:g}", int(k))
+            rows.fail(
+                f"the level {level[k]:g} of axis {i + 1} is beyond its stroke, {low:g} to {high:g} (m or rad)", int(k)
+            )
         levels = np.unique(level[mine])
         if len(levels) < 2 or len(levels) < len(mine):
             raise FileError(

@@ -293,7 +293,7 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
         )
         print(
             f"the same with single rows held out at random, which is optimistic: {mean * 1e3:.4f} {unit} mean, "
-            f"{rms * 1e3:.4f} RMS"
+            f"{rms * 1e3:.4f} {unit} RMS"
         )
     _print_physics(physics)
 

@@ -115,7 +115,7 @@ def run_state_lines(state: RunState) -> list[str]:
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
         bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))
         lines.append(
-            f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f}"
+            f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f} mm"
         )
     if state.seen is not None:
         lines += _pose_lines(state.seen)

@@ -88,7 +88,9 @@ class Epics:
         for i in np.flatnonzero(beyond):
             low, high = limits.travel[i] * self._unit[i]
             place = segment.target[i] * self._unit[i]
-            return Verdict(False, f"{self.motors[i]}: {place:.6g} is outside LLM {low:.6g} .. HLM {high:.6g}")
+            return Verdict(
+                False, f"{self.motors[i]}: {place:.6g} is outside LLM {low:.6g} .. HLM {high:.6g} (in its EGU)"
+            )
         moving = segment.speed > 0
         ramp = (yield from self._read("ACCL")).max()
         if segment.acceleration is not None and (segment.acceleration > 0).any():
@@ -229,7 +231,9 @@ class Epics:
             return Verdict(False, unquote(" ".join(found)))
         for motor, value, word in zip(names, wanted, found if read_back else ()):
             if abs(float(word) - value) > EXACT * max(abs(value), 1.0):
-                return Verdict(False, f"{motor}.{field} is {float(word):.9g} after {value:.9g} was written")
+                return Verdict(
+                    False, f"{motor}.{field} is {float(word):.9g} after {value:.9g} was written (in its EGU)"
+                )
         return Verdict(True)
 
 

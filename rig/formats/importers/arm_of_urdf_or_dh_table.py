@@ -173,7 +173,11 @@ def _limits(
                 )
     for i, (low, high) in enumerate(out):
         if not low < high:
-            raise FileError(cells.path, f"lower is not below upper: {low:g} .. {high:g}", cells.lines[i])
+            raise FileError(
+                cells.path,
+                f"lower is not below upper: {low:g} .. {high:g} {'m' if slides[i] else 'rad'}",
+                cells.lines[i],
+            )
     return out, np.zeros(len(slides), bool)
 
 

@@ -309,7 +309,8 @@ def _limits(path: Path, one: Element, kind: str) -> tuple[float, float] | None:
         _fail(path, one, f"is {kind} and has no <limit lower=.. upper=..>")
     low, high = (float(_numbers(path, one, limit, key, (0.0,))[0]) for key in ("lower", "upper"))
     if not low < high:
-        _fail(path, one, f"its limits must run from small to large, not {low:g} .. {high:g}")
+        unit = "m" if kind == "prismatic" else "rad"
+        _fail(path, one, f"its limits must run from small to large, not {low:g} .. {high:g} {unit}")
     if kind == "prismatic" and max(-low, high) > LARGEST_RIG:
         _fail(path, one, f"its limits {low:g} .. {high:g} are in metres; are these in millimetres?")
     return low, high

@@ -113,7 +113,7 @@ def test_motors_start_and_arrive_together_and_read_back(path):
 def test_a_limit_of_one_motor_keeps_all_at_rest(ioc, driver):
     ioc.ask("PUT RIG:m3.HLM=2")
     try:
-        with pytest.raises(ControllerFault, match=r"RIG:m3: 2.5 is outside LLM -60 .. HLM 2"):
+        with pytest.raises(ControllerFault, match=r"RIG:m3: 2.5 is outside LLM -60 .. HLM 2 \(in its EGU\)"):
             driver.move(home(driver) + STEP)
     finally:
         ioc.ask("PUT RIG:m3.HLM=60")
