@@ -116,8 +116,9 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         parts.append(
             captioned_html(
                 _strengths(cases),
-                "Each dot is a hidden effect: its outcome against its signal-to-noise over all corners (no unit, as a "
-                "power of ten). Good: strong effects, to the right, are named and placed. Bad: strong ones missed.",
+                "Each dot is a hidden effect: its outcome (a row each, in the order of the legend) against its "
+                "signal-to-noise over all corners (no unit, as a power of ten). Good: strong effects, to the right, "
+                "are named and placed. Bad: strong ones missed.",
             )
         )
     parts += [
