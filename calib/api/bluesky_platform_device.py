@@ -6,6 +6,7 @@ imported where a device is made.
 
 import asyncio
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -14,7 +15,7 @@ from calib.api.correction_server_and_move_to_pose import PoseMove, plan_pose_mov
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.array_and_json_types import Floats, Json
 from rig.driving.strut_driver import Driver
-from rig.errors import MissingLibrary, Stopped
+from rig.errors import MissingLibrary, MotionError, Stopped
 from rig.model.pose import pose, pose_to_vector
 from rig.recording.recording_tables import POSE_COLUMNS, POSE_UNITS
 
@@ -100,9 +101,16 @@ class PosePlatform:
         return f"{self.name}-{kind}-{column}"
 
     def _carry_out(self, wanted: RigidTransform) -> None:
-        planned = plan_pose_move(self._driver.design, self._calibration, wanted)
+        planned, before = plan_pose_move(self._driver.design, self._calibration, wanted), self._last
+        start = self._driver.lengths()
         self._last = planned
-        self._last = planned.carry_out(self._driver, self._share)
+        try:
+            self._last = planned.carry_out(self._driver, self._share)
+        except BaseException:
+            with suppress(MotionError):  # where it cannot be read, it may have moved
+                if np.abs(self._driver.lengths() - start).max() <= self._driver.controller.tolerance:
+                    self._last = before  # refused: the platform stands where it was commanded before
+            raise
 
     def _poses(self, measured: bool = True) -> dict[str, RigidTransform]:
         """T_base_platform () of each kind. Before the first move the pose read back counts as the one commanded."""

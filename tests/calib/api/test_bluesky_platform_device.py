@@ -4,6 +4,7 @@ import asyncio
 import re
 import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from calib.api.bluesky_platform_device import PosePlatform, bluesky_platform
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
+from rig.driving.emulators.emulated_axes_and_faults import parse_faults
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
-from rig.errors import ControllerFault, MissingLibrary, RigError, Stopped, Unreachable
+from rig.errors import ControllerFault, MissingLibrary, MotionError, RigError, Stopped, Unreachable
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference, pose_to_vector
 from synthetic import secret_machine_and_truth_file
@@ -78,6 +80,42 @@ def test_what_cannot_be_gone_to_moves_nothing(homed, driven_design, wanted, kind
         asyncio.run(device.move(wanted))
     assert not emulator.machine.executed
     assert values(asyncio.run(device.read()), "commanded") == values(before, "commanded")
+
+
+@pytest.mark.parametrize(
+    "refuse",
+    [
+        lambda driver, emulator: setattr(emulator, "limits", emulator.limits * 0),
+        lambda driver, emulator: setattr(driver, "controller", replace(driver.controller, margin=1.0)),
+        lambda driver, emulator: emulator.power_cycle(),
+    ],
+    ids=["by the controller", "by the driver", "since the position is lost"],
+)
+def test_a_refused_move_leaves_the_pose_that_was_commanded_before(homed, driven_design, refuse):
+    driver, emulator, _ = homed
+    device = platform(driver, driven_design)
+    first = [0.0, 0.0, 0.451, 0.0, 0.0, 0.01]
+    asyncio.run(device.move(first))
+    refuse(driver, emulator)
+    with pytest.raises(RigError):
+        asyncio.run(device.move(WANTED))
+    assert len(emulator.machine.executed) == 1
+    reading, place = asyncio.run(device.read()), asyncio.run(device.locate())
+    np.testing.assert_allclose(values(reading, "commanded"), first, atol=1e-12)
+    np.testing.assert_allclose(place["setpoint"], first, atol=1e-12)
+    if driver.status().known:  # else what it reads is not where it stands
+        np.testing.assert_allclose(place["readback"], first, atol=1e-5)
+
+
+def test_a_move_that_is_stopped_on_its_way_was_commanded(homed, driven_design):
+    driver, emulator, _ = homed
+    device = platform(driver, driven_design)
+    emulator.faults.orders += parse_faults("stall")
+    with pytest.raises(MotionError):
+        asyncio.run(device.move(WANTED))
+    place = asyncio.run(device.locate())
+    np.testing.assert_allclose(place["setpoint"], WANTED, atol=1e-12)
+    assert np.abs(np.subtract(place["readback"], WANTED)).max() > 1e-4
 
 
 @pytest.mark.parametrize("success", [False, True])
@@ -157,4 +195,9 @@ def test_the_example_of_the_page_runs_in_the_run_engine(tmp_path, monkeypatch):
         np.testing.assert_allclose(driver.lengths(), stopped, atol=1e-9)
         with pytest.raises(FailedStatus):
             engine(list_scan([], device, [[0.0, 0.0, 0.9, 0.0, 0.0, 0.0]]))
+        before = asyncio.run(device.locate())["setpoint"]
+        monkeypatch.setattr(driver, "controller", replace(driver.controller, max_step=1e-6))
+        with pytest.raises(FailedStatus):
+            engine(list_scan([], device, [[0.0, 0.0, 0.44, 0.0, 0.0, 0.0]]))
+        assert asyncio.run(device.locate())["setpoint"] == before
     emulated.close()
