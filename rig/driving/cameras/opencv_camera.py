@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
     from rig.array_and_json_types import Integers
 
-FLUSHED = 8  # frames that may wait in a driver's queue
+FLUSHED, OF_STREAM = 8, 1000  # frames that may wait in a driver's queue; of a stream, what was read to open it
 WAIT = 5.0  # s without a frame after which a camera counts as gone
 OPENING, READING_TIME = 10_000, 5_000  # ms: a pipeline or network camera to open; a network camera to send a frame
 MANUAL = 1  # V4L2_EXPOSURE_MANUAL
@@ -85,16 +85,17 @@ class VideoSource:
         uvc: bool = True,
         settings: CaptureSettings = AS_IT_IS,
         stamped: bool = True,
+        queue: int = FLUSHED,
     ) -> None:
         """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it
         takes UVC's controls; settings : of those; stamped : whether its times, where it has any, are of a clock that
-        stamps exposures. Raises CameraError where the camera does not take a setting.
+        stamps exposures; queue : frames that may wait. Raises CameraError where the camera does not take a setting.
         """
         import cv2
 
         self.name, self.can_set_exposure = name, uvc
         self._cv2, self._capture, self._clock, self._size, self._offset = cv2, capture, clock, size, ClockOffset()
-        self._exposure, self._stamped = 0.0, stamped
+        self._exposure, self._stamped, self._queue = 0.0, stamped, queue
         if settings.focus is not None:
             self._set("focus", cv2.CAP_PROP_FOCUS, settings.focus, cv2.CAP_PROP_AUTOFOCUS)
         if settings.white_balance is not None:
@@ -117,7 +118,7 @@ class VideoSource:
         comes.
         """
         began, last = self._clock.now(), None
-        for _ in range(FLUSHED + 3):
+        for _ in range(self._queue + 3):
             before = self._clock.now()
             if not self._capture.grab():
                 raise CameraError(f"camera {self.name!r} gives no frame; is it plugged in, and free?")
@@ -128,7 +129,7 @@ class VideoSource:
             if begin >= began:
                 return Frame(self._image(), t, sigma)
         raise CameraError(
-            f"camera {self.name!r} gave {FLUSHED + 3} frames, none of them known to be exposed after the request"
+            f"camera {self.name!r} gave {self._queue + 3} frames, none of them known to be exposed after the request"
         )
 
     def _time(self, before: float, after: float, last: float | None) -> tuple[float, float, float]:
@@ -307,7 +308,7 @@ def open_network_camera(name: str, url: str, clock: Clock, size: tuple[int, int]
     if not capture.isOpened():
         capture.release()
         raise CameraError(f"camera {name!r}: {_without_password(url)} sends no video; is the address right?")
-    return VideoSource(name, capture, clock, size, uvc=False, stamped=False)
+    return VideoSource(name, capture, clock, size, uvc=False, stamped=False, queue=OF_STREAM)
 
 
 def _without_password(url: str) -> str:
