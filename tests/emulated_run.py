@@ -14,6 +14,7 @@ from rig.driving.clock import SystemClock
 from rig.driving.emulators import controller_emulator_opening_and_ports
 from rig.driving.emulators.emulated_axes_and_faults import Faults
 from rig.formats.rig_toml import design_from_rig_toml
+from rig.model.protocol_and_port_names import MOTOR_RECORDS
 from rig.planning.layout import hexapod_layout_and_camera_placement
 
 WIDTH, HEIGHT = 64, 48
@@ -29,7 +30,7 @@ max_acceleration = 500.0
 def controller_text(protocol: str, port: object) -> str:
     """[controller] of a rig.toml."""
     names = [f"m{k}" for k in range(1, 7)]
-    return CONTROLLER.format(protocol=protocol, port=port) + (f"axes = {names}\n" if protocol == "epics" else "")
+    return CONTROLLER.format(protocol=protocol, port=port) + (f"axes = {names}\n" if protocol in MOTOR_RECORDS else "")
 
 
 def cameras(listening: socket.socket) -> None:

@@ -1,8 +1,8 @@
 """A soft IOC with six motor records of caproto, in a process of its own: trapezoidal moves, limits, homing and faults.
 
-RIG:m1 .. RIG:m6 in mm; RIG:stall and RIG:fault take the number of a motor that stalls in its next move, or whose
-driver fails in it; RIG:locked that of one whose VAL new clients may not write. Run as a program it takes the TCP port,
-and the place (mm) at which the motors stand.
+RIG:m1 .. RIG:m6 in mm, or in other units, as of a pose's coordinates; RIG:stall and RIG:fault take the number of a
+motor that stalls in its next move, or whose driver fails in it; RIG:locked that of one whose VAL new clients may not
+write. Run as a program it takes the TCP port, the place at which the motors stand, and their six units.
 """
 
 import asyncio
@@ -49,7 +49,7 @@ class Motor:
     async def ready(self):
         f = self.fields
         for field, value in (
-            (f.engineering_units, "mm"),
+            (f.engineering_units, self.group.units[self.number - 1]),
             (f.user_low_limit, LOW),
             (f.user_high_limit, HIGH),
             (f.velocity, 5.0),
@@ -131,7 +131,7 @@ class Motors(PVGroup):
     fault = pvproperty(value=0)
     locked = pvproperty(value=0)
 
-    start = 0.0
+    start, units = 0.0, ("mm",) * 6
 
     @stall.startup
     async def stall(self, instance, async_lib):
@@ -147,7 +147,7 @@ class Motors(PVGroup):
 
 def main():
     os.environ["EPICS_CA_SERVER_PORT"] = sys.argv[1]
-    Motors.start = float(sys.argv[2])
+    Motors.start, Motors.units = float(sys.argv[2]), sys.argv[3:9]
 
     async def serve():
         await Context(Motors(prefix="RIG:").pvdb, interfaces=["127.0.0.1"]).run()

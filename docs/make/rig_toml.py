@@ -236,8 +236,8 @@ KEY_TEXTS = {  # of keys that are not fields, or not those alone
     ("[[target]]", "pose"): "T_body_cube, of the cube's centre, or T_body_board, of the board's lower left corner: x "
     "right, y up, z out of the paper",
     ("[[target]]", "first"): FIRST,
-    ("[controller]", "work"): "T_base_work, the frame in which a hexapod's own controller (gcs-hexapod, hxp) "
-    "takes poses",
+    ("[controller]", "work"): "T_base_work, the frame in which a hexapod's own controller (gcs-hexapod, hxp, "
+    "epics-hexapod) takes poses",
     ("[controller]", "tool"): "T_platform_tool, the frame whose poses these are",
     ("[[target]]", "legacy"): LEGACY,
     ('[mechanism] kind = "hexapod"', "followers"): "numbers, from 1, of the struts beyond six that bear no force while "

@@ -17,7 +17,16 @@ from rig.formats.numbers_and_units import parse_number, parse_whole_number
 if TYPE_CHECKING:
     from synthetic.emulated_cameras import EmulatedCameraProcess
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics")  # as rig.model.design has
+PROTOCOLS = (
+    "grblhal",
+    "gcs",
+    "gcs-hexapod",
+    "hxp",
+    "linuxcnc",
+    "struts",
+    "epics",
+    "epics-hexapod",
+)  # as rig.model.design
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -16,6 +16,7 @@ from rig.driving.controller_lock import ControllerLock, ask_lock_holder_to_end, 
 from rig.driving.newport_port import NewportPort
 from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
 from rig.errors import FileError
+from rig.model.protocol_and_port_names import MOTOR_RECORDS
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
 STOPS = {
@@ -25,7 +26,7 @@ STOPS = {
     "hxp": b"0 GroupMoveAbort(HEXAPOD)\n",
     "linuxcnc": b"SET ABORT\r\n",
     "struts": b"!",
-    "epics": b"",  # which takes the names of the records, see epics_motor_record_stop_bytes
+    **dict.fromkeys(MOTOR_RECORDS, b""),  # which take the names of records, see epics_motor_record_stop_bytes
 }
 
 
@@ -56,7 +57,7 @@ class ControllerAddress(NamedTuple):
     def urgent_stop(self) -> bytes:
         """Bytes that stop it though nothing was sent to it before."""
         stop = self.stop
-        if self.protocol == "epics":
+        if self.protocol in MOTOR_RECORDS:
             return epics_motor_record_stop_bytes(self.axes)
         if self.protocol != "linuxcnc":
             return stop

@@ -21,8 +21,9 @@ from rig.model.protocol_and_port_names import PROTOCOLS as PROTOCOLS
 class Controller:
     """What drives the axes.
 
-    protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, or a user's "file:NAME.py" or "package:NAME"
-    baudrate : bit/s; port : device, or URL socket://, rfc2217://, ca:// (epics), xps:// (hxp), loop:// (tests)
+    protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, epics-hexapod, or a user's "file:NAME.py" or
+        "package:NAME"
+    baudrate : bit/s; port : device, or URL socket://, rfc2217://, ca:// (EPICS), xps:// (hxp), loop:// (tests)
     usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
     zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None
@@ -33,6 +34,7 @@ class Controller:
     kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
     password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
     work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself
+    angles : whether U, V and W turn, in this order, about "moving" or "fixed" axes (hxp, epics-hexapod)
     """
 
     protocol: str
@@ -57,6 +59,7 @@ class Controller:
     ini: str = ""
     work: RigidTransform | None = None
     tool: RigidTransform | None = None
+    angles: str = "moving"
 
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)

@@ -6,8 +6,11 @@ It imports nothing that takes time.
 import re
 from urllib.parse import urlsplit
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics")
-TAKE_POSES = ("gcs-hexapod", "hxp")  # controllers of hexapods, with kinematics and frames of their own
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics", "epics-hexapod")
+TAKE_POSES = ("gcs-hexapod", "hxp", "epics-hexapod")  # controllers of hexapods, with kinematics and frames of their own
+MOTOR_RECORDS = ("epics", "epics-hexapod")  # whose axes are names of EPICS motor records
+ANGLES = {"moving": "XYZ", "fixed": "xyz"}  # of U, V, W, in this order: SciPy's names of the axes that they turn about
+STATE_ANGLES = ("hxp", "epics-hexapod")  # whose controllers may have either
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
 USUAL_PORTS = {"ca": 5064, "xps": 5001}  # of URLs that name none
 SHOWN = 80  # characters of a port's name that a message repeats

@@ -16,8 +16,9 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes, parse_faults
+from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
 from rig.driving.emulators.emulator_base_classes import Emulator, load_user_emulator
-from rig.driving.emulators.epics import EpicsMotors
+from rig.driving.emulators.epics import EpicsMotors, EpicsPoseRecords
 from rig.driving.emulators.gcs import GCS, GCSHexapod
 from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
@@ -117,7 +118,7 @@ def emulator_of_design(
     if c.protocol == "gcs-hexapod":
         return GCSHexapod(machine, faults, clock, require_hexapod(m), limits, c.work, c.tool)
     if c.protocol == "hxp":
-        return NewportHexapod(machine, faults, clock, limits, require_hexapod(m), c.work, c.tool)
+        return NewportHexapod(machine, faults, clock, limits, require_hexapod(m), c.work, c.tool, c.angles)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     if c.protocol == "linuxcnc":
@@ -129,8 +130,12 @@ def emulator_of_design(
             limits,
             require_hexapod(m) if c.kinematics == "world" else None,
         )
+    records = c.axes or tuple(f"m{i + 1}" for i in range(len(home)))
     if c.protocol == "epics":
-        return EpicsMotors(machine, faults, clock, c.axes or tuple(f"m{i + 1}" for i in range(len(home))), limits)
+        return EpicsMotors(machine, faults, clock, records, limits)
+    if c.protocol == "epics-hexapod":
+        platform = EmulatedPlatform(require_hexapod(m), c.work, c.tool, c.angles)
+        return EpicsPoseRecords(machine, faults, clock, records, limits, platform)
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 

@@ -10,8 +10,10 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.emulated_axes_and_faults import MOTOR, EmulatedMachine, Faults
+from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
 from rig.driving.emulators.emulator_base_classes import Emulator
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
+from rig.errors import NotConverged
 
 MM = 1e3
 PROBLEM, HOMED, MAJOR = 1 << 9, 1 << 14, 2
@@ -19,7 +21,10 @@ GO = 3.0
 
 
 class EpicsMotors(Emulator):
-    """motors : names of the records; limits : (n, 2) m of the counters, which LLM and HLM state"""
+    """motors : names of the records; limits : (n, 2) m of the counters
+
+    units : (n,) of their readings; ranges : (n, 2) of LLM and HLM, in these
+    """
 
     ends = b"\n"
 
@@ -28,6 +33,7 @@ class EpicsMotors(Emulator):
     ) -> None:
         super().__init__(machine, faults, clock, limits)
         self.motors, self.buffer = motors, 4096  # a circuit of TCP drops nothing
+        self.units, self.ranges = ("mm",) * len(motors), MM * self.limits
         self._speed, self._ramp = MM * machine.axes.speed, np.full(len(motors), 0.2)
         self._goal, self._violated = np.zeros(len(motors)), np.zeros(len(motors))
         self._mode = np.full(len(motors), GO)
@@ -62,14 +68,14 @@ class EpicsMotors(Emulator):
 
     def _value(self, i: int, field: str) -> str:
         t = self.now
-        texts = {"EGU": "mm", "RTYP": "motor"}
+        texts = {"EGU": self.units[i], "RTYP": "motor"}
         if field in texts:
             return quote(texts[field])
         moving, fault = self.machine.moving(t) or self.machine.homing(t), self.machine.fault(t)
         wrong = bool(fault) and (not fault.startswith(MOTOR) or fault.split()[-1] == str(i + 1))
-        low, high = MM * self.limits[i]
+        low, high = self.ranges[i]
         values = {
-            "RBV": MM * self.machine.counters(t)[i],
+            "RBV": self.readings()[i],
             "VAL": self._goal[i],
             "DMOV": float(not moving),
             "MSTA": float(HOMED * self.machine.homed + PROBLEM * wrong),
@@ -113,13 +119,48 @@ class EpicsMotors(Emulator):
         return set()
 
     def _go(self, at: list[int], values: Floats) -> set[str]:
-        counters = self.machine.counters(self.now)
-        target = counters.copy()
-        target[at] = values / MM
-        self._violated[:] = 1.0 * ((target < self.limits[:, 0] - 1e-9) | (target > self.limits[:, 1] + 1e-9))
+        before = self.readings()
+        goals = before.copy()
+        goals[at] = values
+        try:
+            target = self.counters(goals)
+        except NotConverged:
+            self._violated[:] = 1.0
+            return set()
+        self._violated[:] = 1.0 * self.is_beyond_limits(target)
         refused = self._violated.any() or self.machine.fault(self.now) or (self._mode != GO).any() or self.machine.deaf
         if refused or not self.machine.homed and self.busy:
             return set()
         self._goal[at] = values
-        travel = np.abs(target - counters)[at]
-        return self.start_move(target, float((travel / (self._speed[at] / MM)).max()))
+        return self.start_move(target, float((np.abs(goals - before)[at] / self._speed[at]).max()))
+
+    def readings(self) -> Floats:
+        """(n,) what the records read back, in their units."""
+        return MM * self.machine.counters(self.now)
+
+    def counters(self, readings: Floats) -> Floats:
+        """(n,) m of the struts at readings (n,). Raises NotConverged where no lengths give them."""
+        return readings / MM
+
+
+class EpicsPoseRecords(EpicsMotors):
+    """Records of a hexapod's X, Y, Z in mm and U, V, W in degrees. platform : computes poses by its own geometry"""
+
+    def __init__(
+        self,
+        machine: EmulatedMachine,
+        faults: Faults,
+        clock: Clock,
+        motors: tuple[str, ...],
+        limits: Floats,
+        platform: EmulatedPlatform,
+    ) -> None:
+        super().__init__(machine, faults, clock, motors, limits)
+        self.platform, self.units = platform, ("mm",) * 3 + ("deg",) * 3
+        self.ranges = np.repeat([[-500.0, 500.0], [-60.0, 60.0]], 3, axis=0)
+
+    def readings(self) -> Floats:
+        return self.platform.values(self.machine.counters(self.now) + self.machine.zero)
+
+    def counters(self, readings: Floats) -> Floats:
+        return self.platform.lengths(readings) - self.machine.zero

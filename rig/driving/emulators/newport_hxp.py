@@ -49,7 +49,7 @@ JERK = (0.005, 0.05)  # s, least and greatest
 
 class NewportHexapod(LineEmulator):
     """geometry : the controller's own; limits : (6, 2) m of the struts' counters; work : T_base_work, its home by
-    default; tool : T_platform_tool; systems : values of its coordinate systems as they are asked for
+    default; tool : T_platform_tool; angles : "moving" or "fixed"; systems : values of its coordinate systems
     """
 
     protocol = HXP
@@ -63,9 +63,13 @@ class NewportHexapod(LineEmulator):
         geometry: Hexapod,
         work: RigidTransform | None,
         tool: RigidTransform | None,
+        angles: str = "moving",
     ) -> None:
         super().__init__(machine, faults, clock, limits)
-        self.platform, self.buffer = EmulatedPlatform(geometry, work, tool), 4096  # a connection of TCP drops nothing
+        self.platform, self.buffer = (
+            EmulatedPlatform(geometry, work, tool, angles),
+            4096,
+        )  # a connection of TCP drops nothing
         self.systems = {"Work": np.zeros(6), "Tool": np.zeros(6)}
         self.greet()
 

@@ -1,7 +1,9 @@
-"""EPICS motor records, one for each strut, by Channel Access (rig.driving.ports_and_numbered_frames).
+"""EPICS motor records by Channel Access (rig.driving.ports_and_numbered_frames): one for each strut, or for each of a
+hexapod's X, Y, Z, U, V, W.
 
 A move sets VELO and ACCL so that all motors start and arrive together, then VAL. What the records read back says
-whether it is done: RBV, DMOV and MSTA. Source: motorRecord.html of the synApps motor module.
+whether it is done: RBV, DMOV and MSTA. Poses stand for lengths
+(rig.driving.protocols.poses_of_hexapod_controllers). Source: motorRecord.html of the synApps motor module.
 """
 
 from urllib.parse import unquote
@@ -13,6 +15,7 @@ from rig.driving.controller_address_and_urgent_stop import epics_motor_record_st
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import NUMBERS
+from rig.driving.protocols.poses_of_hexapod_controllers import PosesForLengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     TRIES,
@@ -27,8 +30,16 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     pause_dialogue,
 )
 from rig.errors import ControllerFault, NoAnswer
+from rig.model.design import Controller
+from rig.model.mechanism_geometry_classes import Hexapod
 
 UNITS = {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6, "micron": 1e6, "microns": 1e6, "nm": 1e9}  # in a metre
+ANGLE_UNITS = {
+    **dict.fromkeys(("deg", "degree", "degrees"), 180 / np.pi),
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+    "mrad": 1e3,
+    "urad": 1e6,
+}  # in a radian
 BITS = {  # of MSTA, that keep a motor from moving
     2: "at its upper limit switch",
     6: "slips or stalls",
@@ -36,6 +47,8 @@ BITS = {  # of MSTA, that keep a motor from moving
     12: "does not answer its controller",
     13: "at its lower limit switch",
 }
+MM_AND_DEGREES = np.repeat([1e3, 180 / np.pi], 3)  # in m and rad
+STILL = 1e-7  # m, rad: a coordinate that changes by less is written, at the speed that its record has
 HOMED = 14  # bit of MSTA
 SEVERITIES = ("no", "minor", "major", "invalid")
 MAJOR = 2  # severity of an alarm, from which a motor is not moved
@@ -57,6 +70,7 @@ class Epics:
 
     def __init__(self, motors: tuple[str, ...]) -> None:
         self.motors, self.started_anew = motors, False
+        self.units = (UNITS,) * len(motors)
         self.urgent_stop = epics_motor_record_stop_bytes(motors)
         self._unit, self._number = np.ones(len(motors)), 0
         self._homed = False
@@ -64,12 +78,12 @@ class Epics:
     def hello(self) -> Dialogue[str]:
         units = [text.strip().lower() for text in (yield from self._texts("EGU"))]
         kinds = yield from self._texts("RTYP")
-        for motor, unit, kind in zip(self.motors, units, kinds):
+        for motor, unit, kind, known in zip(self.motors, units, kinds, self.units):
             if kind != "motor":
                 raise ControllerFault(f"{motor} is a record of type {kind!r}, not a motor record")
-            if unit not in UNITS:
-                raise ControllerFault(f"{motor}.EGU is {unit!r}; it must be one of {', '.join(UNITS)}")
-        self._unit = np.array([UNITS[unit] for unit in units])
+            if unit not in known:
+                raise ControllerFault(f"{motor}.EGU is {unit!r}; it must be one of {', '.join(known)}")
+        self._unit = np.array([known[unit] for unit, known in zip(units, self.units)])
         self._homed = bool((yield from self._state()).homed)
         return f"EPICS motor records {', '.join(self.motors)}"
 
@@ -83,24 +97,29 @@ class Epics:
         return found
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
-        limits = yield from self.limits()
-        beyond = (segment.target < limits.travel[:, 0]) | (segment.target > limits.travel[:, 1])
-        for i in np.flatnonzero(beyond):
-            low, high = limits.travel[i] * self._unit[i]
-            place = segment.target[i] * self._unit[i]
-            return Verdict(
-                False, f"{self.motors[i]}: {place:.6g} is outside LLM {low:.6g} .. HLM {high:.6g} (in its EGU)"
-            )
         moving = segment.speed > 0
+        return (yield from self._go(segment, segment.target * self._unit, segment.speed * self._unit, moving, moving))
+
+    def _go(
+        self, segment: Segment, goals: Floats, speeds: Floats, moving: Booleans, written: Booleans
+    ) -> Dialogue[Verdict]:
+        """Begin a move to goals (n,) at speeds (n,), each in its record's unit.
+
+        moving : (n,) records whose speed is set; written : (n,) records whose goal is
+        """
+        for motor, goal, (low, high) in zip(self.motors, goals, (yield from self._travel())):
+            if not low <= goal <= high:
+                return Verdict(False, f"{motor}: {goal:.6g} is outside LLM {low:.6g} .. HLM {high:.6g} (in its EGU)")
         ramp = (yield from self._read("ACCL")).max()
         if segment.acceleration is not None and (segment.acceleration > 0).any():
-            ramp = float((segment.speed[moving] / segment.acceleration[moving]).max())
+            fast = segment.speed > 0
+            ramp = float((segment.speed[fast] / segment.acceleration[fast]).max())
         verdict = yield from self._set("ACCL", np.full(len(self.motors), max(ramp, 1e-3)), moving)
         if verdict.accepted:
-            verdict = yield from self._set("VELO", segment.speed * self._unit, moving)
+            verdict = yield from self._set("VELO", speeds, moving)
         if not verdict.accepted:
             return verdict
-        verdict = yield from self._put("VAL", segment.target * self._unit, moving, tries=1)
+        verdict = yield from self._put("VAL", goals, written, tries=1)
         if verdict.accepted and (yield from self._read("LVIO")).any():
             return Verdict(False, "a record reports a limit violation (LVIO)")
         return verdict
@@ -130,11 +149,9 @@ class Epics:
         self.started_anew = False
         yield from ()
 
-    def limits(self) -> Dialogue[ControllerLimits]:
-        low, high = (yield from self._read("LLM")), (yield from self._read("HLM"))
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        travel = (yield from self._travel()) / self._unit[:, None]
         fastest = yield from self._read("VMAX")
-        travel = np.stack([low, high], axis=1) / self._unit[:, None]
-        travel[(low == 0) & (high == 0)] = -np.inf, np.inf  # which a record takes for no limits
         return ControllerLimits(
             travel,
             np.ptp(travel, axis=1),
@@ -148,12 +165,23 @@ class Epics:
     def event(self, line: str) -> str:
         return ""
 
+    def _travel(self) -> Dialogue[Floats]:
+        """(n, 2) least and greatest goals, in each record's unit."""
+        low, high = (yield from self._read("LLM")), (yield from self._read("HLM"))
+        travel = np.stack([low, high], axis=1)
+        travel[(low == 0) & (high == 0)] = -np.inf, np.inf  # which a record takes for no limits
+        return travel
+
+    def _positions(self, readings: Floats) -> Floats:
+        """(n,) m of the struts, of what the records read back (n,) in their units."""
+        return readings / self._unit
+
     def _state(self) -> Dialogue[State]:
         names = [f"{motor}.{field}" for motor in self.motors for field in STATE]
         values = np.array([float(word) for word in (yield from self._values_of_fields(names))]).reshape(
             len(self.motors), -1
         )
-        forward, reverse, done, status, severity, mode, positions = values.T
+        forward, reverse, done, status, severity, mode, readings = values.T
         bits = status.astype(int)
         faults = [
             f"{motor} {text}" for motor, word in zip(self.motors, bits) for bit, text in BITS.items() if word >> bit & 1
@@ -172,7 +200,7 @@ class Epics:
             activity = "held" if held else "idle"
         report = f"DMOV {''.join(str(int(word)) for word in done)}, MSTA {' '.join(f'{word:#x}' for word in bits)}"
         report += f", SPMG {held[0]}" if held else ""
-        return State(activity, positions / self._unit, bool((bits >> HOMED & 1).all()), "; ".join(faults), report)
+        return State(activity, self._positions(readings), bool((bits >> HOMED & 1).all()), "; ".join(faults), report)
 
     def _texts(self, field: str) -> Dialogue[list[str]]:
         return [
@@ -235,6 +263,37 @@ class Epics:
                     False, f"{motor}.{field} is {float(word):.9g} after {value:.9g} was written (in its EGU)"
                 )
         return Verdict(True)
+
+
+class EpicsHexapod(Epics):
+    """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol. Its positions are the struts'
+    lengths.
+
+    motors : names of the records of X, Y, Z, U, V, W; hexapod : the geometry by which the controller computes
+    """
+
+    name = "epics-hexapod"
+
+    def __init__(self, motors: tuple[str, ...], controller: Controller, hexapod: Hexapod) -> None:
+        super().__init__(motors)
+        self.units = (UNITS,) * 3 + (ANGLE_UNITS,) * 3
+        self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool, controller.angles)
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        start, goals = self.poses.values(np.stack([segment.start, segment.target])) / MM_AND_DEGREES
+        change = np.abs(goals - start)
+        speeds = (
+            change / segment.duration if segment.duration > 0 else np.zeros(6)
+        )  # the fastest strut's is that asked for
+        everyone = np.ones(6, bool)
+        return (yield from self._go(segment, goals * self._unit, speeds * self._unit, change > STILL, everyone))
+
+    def limits(self) -> Dialogue[ControllerLimits | None]:
+        yield from ()
+        return None  # LLM and HLM are of coordinates, and not of struts
+
+    def _positions(self, readings: Floats) -> Floats:
+        return self.poses.positions(readings / self._unit * MM_AND_DEGREES)
 
 
 def _answer(line: str, number: int) -> str | None:

@@ -3,7 +3,8 @@
 Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers); they are those of its Tool coordinate
 system in its Work coordinate system. Calls and answers are lines of rig.driving.newport_port. A move and a homing are
 answered at their end; the group's state says meanwhile that they have begun.
-U V W are taken as Bryant angles, about axes that move along, R = Rx(U) Ry(V) Rz(W): not yet seen at a controller.
+U V W are taken as Bryant angles, about axes that move along, R = Rx(U) Ry(V) Rz(W). That is not verified: neither read
+in a manual nor seen at a controller; [controller] angles states the other order.
 Source: functions, group states and errors as public drivers of the XPS controllers have them; a strut's own name is
 HEXAPOD.1 .. HEXAPOD.6.
 """
@@ -65,7 +66,7 @@ class HXP(LineProtocol):
 
     def __init__(self, controller: Controller, hexapod: Hexapod) -> None:
         super().__init__(controller, 6)
-        self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool)
+        self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool, controller.angles)
         self._position, self._homed = POSITIONS[0], False
         self._systems: list[Floats] = []
         self._begun: int | None = None  # number of the motion that is not answered yet

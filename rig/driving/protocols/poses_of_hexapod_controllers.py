@@ -5,7 +5,7 @@ wanted are commanded as the pose of which this geometry makes them, in the contr
 point, and the pose that is read back stands for lengths.
 
 U, V, W turn about axes that move along, in this order: R = Rx(U) Ry(V) Rz(W), which are also called Bryant or Cardan
-angles.
+angles. Of controllers where that is not certain, rig.toml may state axes that stay: R = Rz(W) Ry(V) Rx(U).
 """
 
 from dataclasses import dataclass, field
@@ -18,22 +18,23 @@ from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose
+from rig.model.protocol_and_port_names import ANGLES
 
 AXES = ("X", "Y", "Z", "U", "V", "W")
 NONE = pose([0, 0, 0], [0, 0, 0])
-ORDER, MM = "XYZ", 1e3  # of SciPy: about axes that move along, in the order U, V, W; per m
+MM = 1e3  # per m
 
 
-def controller_values_of_pose(T: RigidTransform) -> Floats:
-    """X, Y, Z in mm and U, V, W in degrees (..., 6) of poses (...)."""
-    return np.concatenate([MM * T.translation, T.rotation.as_euler(ORDER, degrees=True)], axis=-1)
+def controller_values_of_pose(T: RigidTransform, angles: str = "moving") -> Floats:
+    """X, Y, Z in mm and U, V, W in degrees (..., 6) of poses (...). angles : of ANGLES"""
+    return np.concatenate([MM * T.translation, T.rotation.as_euler(ANGLES[angles], degrees=True)], axis=-1)
 
 
-def pose_of_controller_values(values: ArrayLike) -> RigidTransform:
-    """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees."""
+def pose_of_controller_values(values: ArrayLike, angles: str = "moving") -> RigidTransform:
+    """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees. angles : of ANGLES"""
     values = np.asarray(values, float)
     return RigidTransform.from_components(
-        values[..., :3] / MM, Rotation.from_euler(ORDER, values[..., 3:], degrees=True)
+        values[..., :3] / MM, Rotation.from_euler(ANGLES[angles], values[..., 3:], degrees=True)
     )
 
 
@@ -70,12 +71,18 @@ class PosesForLengths:
 
     hexapod : the geometry by which the controller computes; zero : (6,) m, lengths that are called 0
     work : T_base_work, None for the platform at home; tool : T_platform_tool, None for the platform itself
+    angles : of ANGLES, as U, V, W turn
     """
 
     def __init__(
-        self, hexapod: Hexapod, zero: Floats, work: RigidTransform | None, tool: RigidTransform | None
+        self,
+        hexapod: Hexapod,
+        zero: Floats,
+        work: RigidTransform | None,
+        tool: RigidTransform | None,
+        angles: str = "moving",
     ) -> None:
-        self.hexapod, self.zero = hexapod, zero
+        self.hexapod, self.zero, self.angles = hexapod, zero, angles
         self.frames = PoseFrames(hexapod.home if work is None else work, NONE if tool is None else tool)
 
     def platform(self, positions: Floats) -> RigidTransform:
@@ -84,9 +91,9 @@ class PosesForLengths:
 
     def values(self, positions: Floats) -> Floats:
         """X .. W (..., 6), mm and degrees, that are commanded for positions (..., 6) m of the struts."""
-        return controller_values_of_pose(self.frames.command_of_pose(self.platform(positions)))
+        return controller_values_of_pose(self.frames.command_of_pose(self.platform(positions)), self.angles)
 
     def positions(self, values: ArrayLike) -> Floats:
         """(..., 6) m, positions of the struts for which X .. W (..., 6), mm and degrees, stand."""
-        T = self.frames.pose_of_command(pose_of_controller_values(values))
+        T = self.frames.pose_of_command(pose_of_controller_values(values, self.angles))
         return mechanisms.hexapod.inverse(T, self.hexapod) - self.zero

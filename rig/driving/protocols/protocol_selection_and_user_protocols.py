@@ -9,7 +9,7 @@ from functools import wraps
 from pathlib import Path
 from typing import ParamSpec, cast
 
-from rig.driving.protocols.epics import Epics
+from rig.driving.protocols.epics import Epics, EpicsHexapod
 from rig.driving.protocols.gcs import GCS, GCSHexapod
 from rig.driving.protocols.grblhal import GrblHAL
 from rig.driving.protocols.linuxcnc import LinuxCNC
@@ -71,8 +71,12 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
             controller.password,
             controller.enable_password,
         )
+    records = controller.axes or tuple(f"m{i + 1}" for i in range(axis_count))
     if controller.protocol == "epics":
-        return Epics(controller.axes or tuple(f"m{i + 1}" for i in range(axis_count)))
+        return Epics(records)
+    if controller.protocol == "epics-hexapod":
+        hexapod = require_hexapod(mechanism, "epics-hexapod drives a hexapod, not a mechanism of kind {kind!r}")
+        return EpicsHexapod(records, controller, hexapod)
     raise ValueError(f"no protocol {controller.protocol!r}")
 
 

@@ -21,6 +21,7 @@ from rig.formats.rig_toml.mechanism_entries import (
     mechanism_of_table,
     refuse_tables_unsuited_to_several_hands,
 )
+from rig.model import protocol_and_port_names as names
 from rig.model.base_and_link_tilt_sensors import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.design import (
@@ -45,7 +46,6 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_hexapod,
     is_redundant,
 )
-from rig.model.protocol_and_port_names import TAKE_POSES, is_motor_record_name, is_user_file_or_package, port_problem
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -160,7 +160,7 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     if is_redundant(mechanism):
         table.fail(f"[controller] drives six struts, and this platform has {n}: drive it by the lengths of rig correct")
     protocol = _protocol(table)
-    axes, fits = table.get("axes", []), is_motor_record_name if protocol == "epics" else str.isalnum
+    axes, fits = table.get("axes", []), names.is_motor_record_name if protocol in names.MOTOR_RECORDS else str.isalnum
     if (
         not isinstance(axes, list)
         or not all(isinstance(name, str) and fits(name) for name in axes)
@@ -171,15 +171,15 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
     speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
-    if protocol == "epics" and not axes:
-        table.fail(f"protocol epics takes {table.name('axes')}: the names of {n} motor records", "protocol")
-    if protocol in TAKE_POSES:
+    if protocol in names.MOTOR_RECORDS and not axes:
+        table.fail(f"protocol {protocol} takes {table.name('axes')}: the names of {n} motor records", "protocol")
+    if protocol in names.TAKE_POSES:
         if not is_hexapod(mechanism):
             table.fail(f"protocol {protocol} drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
         home = home_values(mechanism) if home is None else home
-    elif {"work", "tool"} & set(table.tree):
-        frames = " and ".join(TAKE_POSES)
-        table.fail(f"work and tool are frames of protocol {frames}", "work" if "work" in table.tree else "tool")
+    for keys, protocols in ((("work", "tool"), names.TAKE_POSES), (("angles",), names.STATE_ANGLES)):
+        for key in [key for key in keys if key in table.tree and protocol not in protocols]:
+            table.fail(f"{' and '.join(keys)} are stated of protocol {', '.join(protocols)}", key)
     return Controller(
         protocol,
         _port(table, default=""),
@@ -203,12 +203,13 @@ def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Con
         table.text("ini", default=""),
         table.pose("work") if "work" in table.tree else None,
         table.pose("tool") if "tool" in table.tree else None,
+        table.text("angles", tuple(names.ANGLES), default="moving"),
     )
 
 
 def _protocol(table: Entries) -> str:
     stated = table.text("protocol")
-    if is_user_file_or_package(stated):
+    if names.is_user_file_or_package(stated):
         return user_program_entry(table, "protocol", stated)
     if stated not in PROTOCOLS:
         table.refuse("protocol", f"one of {', '.join(map(repr, PROTOCOLS))}, file:NAME.py or package:NAME", stated)
@@ -217,7 +218,7 @@ def _protocol(table: Entries) -> str:
 
 def _port(table: Entries, default: str | Required = REQUIRED) -> str:
     port = table.text("port", default=default)
-    if problem := port_problem(port):
+    if problem := names.port_problem(port):
         table.fail(f"{table.name('port')}: {problem}", "port", value=port)
     return port
 
@@ -281,7 +282,7 @@ def _sensors(table: Entries) -> SensorPort:
             value=channels,
         )
     stated = table.text("port")
-    port = user_program_entry(table, "port", stated) if is_user_file_or_package(stated) else _port(table)
+    port = user_program_entry(table, "port", stated) if names.is_user_file_or_package(stated) else _port(table)
     return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 

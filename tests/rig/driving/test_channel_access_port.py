@@ -37,15 +37,16 @@ timeout = 5.0
 
 
 class SoftIoc:
-    """The IOC, which can be killed and started anew at the same port."""
+    """The IOC, which can be killed and started anew at the same port. units : of its records"""
 
-    def __init__(self):
+    def __init__(self, units=("mm",) * 6):
+        self.units = units
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self.start()
 
     def start(self, at=0.0):
-        words = [sys.executable, "-m", "tests.soft_motor_ioc", str(self.port), str(at)]
+        words = [sys.executable, "-m", "tests.soft_motor_ioc", str(self.port), str(at), *self.units]
         self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT)
         assert self.process.stdout.readline() == "ready\n"
 

@@ -15,7 +15,7 @@ from tests.rig.conftest import EVERY_PROTOCOL
 from tests.rig.driving.cameras.test_cameras import camera
 from tests.rig.driving.protocols.test_user_protocol import TEMPLATE, written
 
-LONG = ("gcs-hexapod", "epics", "gcs", "linuxcnc")  # those that take the most seconds
+LONG = ("gcs-hexapod", "epics", "epics-hexapod", "gcs", "linuxcnc")  # those that take the most seconds
 UNSAFE = {  # what stands in place of what, which check fails
     "its stop bytes do nothing": ('urgent_stop = b"!"', 'urgent_stop = b"?"', "stops while it moves"),
     "it hides an axis in error": ('"" if found[3] == "ok" else found[3]', '""', "done-in-error"),
