@@ -30,22 +30,52 @@ static void world_at(const EmcPose *given, double world[6])
     world[5] = given->c;
 }
 
+/* While joints have no pose, LinuxCNC takes the world's home for theirs, and in world mode would have them leap to it; or
+   to 0, where the first pose of that mode is refused. So they are held at the first one. Another is then refused. */
+#define ALONE 4 /* calls of forward kinematics without one of inverse kinematics: this is not world mode */
+static double held_pose[6], held_joints[6];
+static int holding, alone, known; /* known: joints have had a pose, so it is not LinuxCNC that starts */
+
+/* Whether the joints are held for a pose. */
+static int is_held(const double at[6])
+{
+    for (int i = 0; i < 6; i++) {
+        if (holding && !(fabs(at[i] - held_pose[i]) < 1e-9)) {
+            holding = 0;
+            return 0;
+        }
+    }
+    for (int i = 0; i < 6; i++)
+        held_pose[i] = at[i];
+    holding = 1;
+    return 1;
+}
+
 /* Joints (machine units) of a pose; below 0, and joints as they were, where the pose is refused. */
 int kinematicsInverse(const EmcPose *world, double *joint, const KINEMATICS_INVERSE_FLAGS *iflags,
                       KINEMATICS_FORWARD_FLAGS *fflags)
 {
     double at[6], channels[RIG_CHANNELS + 1], lengths[6];
-    int strut;
+    int strut = 0;
+    const int lost = *signals->forward_status;
     (void)iflags;
     (void)fflags;
     world_at(world, at);
     read_channels(channels);
-    const int status = lengths_of(at, channels, lengths, &strut);
+    alone = 0;
+    if (lost != RIG_OK && is_held(at)) {
+        for (int i = 0; i < 6; i++)
+            joint[i] = held_joints[i];
+        return 0;
+    }
+    const int status = lost != RIG_OK ? lost : lengths_of(at, channels, lengths, &strut);
     if (status == RIG_OK) {
         for (int i = 0; i < 6; i++)
             joint[i] = lengths[i] * UNITS;
     } else {
-        if (status != *signals->inverse_status)
+        if (lost != RIG_OK)
+            rtapi_print_msg(RTAPI_MSG_ERR, "rigkins: pose refused: the joints have none; jog them back in joint mode\n");
+        else if (status != *signals->inverse_status)
             rtapi_print_msg(RTAPI_MSG_ERR, "rigkins: pose refused: %s (strut %d; 0 for none)\n", REFUSALS[status],
                             strut);
         *signals->refused = status;
@@ -76,8 +106,19 @@ int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORW
         world->a = at[3];
         world->b = at[4];
         world->c = at[5];
-    } else if (status != *signals->forward_status)
-        rtapi_print_msg(RTAPI_MSG_WARN, "rigkins: no pose of the joints: %s\n", REFUSALS[status]);
+        holding = 0;
+        known = 1;
+    } else {
+        if (status != *signals->forward_status)
+            rtapi_print_msg(known ? RTAPI_MSG_ERR : RTAPI_MSG_WARN, "rigkins: no pose of the joints: %s\n",
+                            REFUSALS[status]);
+        if (alone < ALONE)
+            alone++;
+        else
+            holding = 0;
+        for (int i = 0; i < 6 && !holding; i++)
+            held_joints[i] = joint[i];
+    }
     *signals->forward_status = status;
     *signals->forward_steps = steps;
     return -status;

@@ -18,7 +18,7 @@ from calib.files import calibration_file
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
-from rig.model.pose import pose_difference
+from rig.model.pose import pose, pose_difference
 from tests.calib.controllers_in_c import (
     BAD_POSE,
     CALIBRATIONS,
@@ -238,6 +238,29 @@ def test_near_a_singularity_poses_and_joints_are_refused(design, tmp_path):
     world = module.world(beyond)  # at home's side other joints have the same lengths, or none has
     status = module.forward(hexapod.inverse(beyond, free.fitted), world)
     assert status < 0 or np.abs(pose_difference(module.pose(world), beyond)).max() > 1e-3
+
+
+@needs_compiler
+def test_joints_without_a_pose_are_held_at_the_first_pose_of_world_mode_and_refused_another(design, tmp_path):
+    """LinuxCNC takes home for the pose of such joints: they would leap to home, or to 0 where it is refused."""
+    free = fitted(design)
+    free = replace(free, nominal=replace(free.nominal, strut_range=np.tile([0.01, 9.0], (6, 1))))
+    module, home = Module(calibration_of(free), tmp_path), free.nominal.home
+    turned = [home * pose([0, 0, 0], [0, 0, np.radians(angle)]) for angle in (88, 90)]
+    lost, further = (hexapod.inverse(T, free.fitted) for T in turned)
+    for joints in (lost, further, lost):  # in joint mode joints are jogged, and no pose is asked for
+        for _ in range(6):
+            assert module.forward(joints, module.world(home)) == -SINGULAR
+        for _ in range(3):
+            status, held = module.inverse(home)
+            assert status == 0 and np.abs(held - joints).max() < 1e-12
+            module.forward(joints + 1e-6, module.world(home))  # fed back: what is held does not creep
+        assert module.inverse(home * pose([0, 0, 1e-3], [0, 0, 0]))[0] == -SINGULAR
+        assert module.inverse(home)[0] == 0
+    regular = hexapod.inverse(home, free.fitted)
+    assert module.forward(regular, module.world(home)) == 0
+    status, joints = module.inverse(home)
+    assert status == 0 and np.abs(joints - regular).max() < 1e-9
 
 
 shares = st.lists(st.floats(-1, 1), min_size=6, max_size=6)
