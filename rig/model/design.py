@@ -21,8 +21,7 @@ from rig.model.protocol_and_port_names import PROTOCOLS as PROTOCOLS
 class Controller:
     """What drives the axes.
 
-    protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, epics-hexapod, or a user's "file:NAME.py" or
-        "package:NAME"
+    protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, epics-hexapod, "file:NAME.py" or "package:NAME"
     baudrate : bit/s; port : device, or URL socket://, rfc2217://, ca:// (EPICS), xps:// (hxp), loop:// (tests)
     usb : serial number or hardware id of the port, or ""; axes : the controller's names of them, () for usual ones
     homing : whether the controller can home; without, the position that it reads at the start is believed
@@ -30,11 +29,11 @@ class Controller:
     max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows; tolerance : m, of a
     read-back; max_step : m, largest change of one axis in a move, None for any; margin : smallest share that the
     Jacobian's least singular value may have of its value at home; timeout : s, for an answer; home_timeout : s,
-    for homing all axes; watchdog : s of silence after which a controller stops
-    kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
-    password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
-    work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself
-    angles : whether U, V and W turn, in this order, about "moving" or "fixed" axes (hxp, epics-hexapod)
+    for homing all axes; watchdog : s of silence after which a controller stops; kinematics : "joint" (an axis word is
+    an axis) or "world" (the controller has the inverse kinematics, takes poses); password, enable_password : of
+    linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""; work, tool : T_base_work,
+    T_platform_tool where it takes poses, None for the platform at home, and for itself; angles : whether U, V and W
+    turn, in this order, about "moving" or "fixed" axes (hxp, epics-hexapod)
     """
 
     protocol: str
@@ -344,9 +343,7 @@ class Design:
     def driver(self) -> Controller:
         """The Controller. Raises RigError where nothing is driven."""
         if self.controller is None:
-            raise RigError(
-                "rig.toml has no [controller], so there is nothing to drive: state its protocol and port there"
-            )
+            raise RigError("rig.toml has no [controller], so nothing is driven: state its protocol and port there")
         return self.controller
 
 
