@@ -358,12 +358,8 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     each = mean_sample_per_configuration(
         samples, certified.label, inverse_strut_length_jacobian(samples.T_base_platform, correction.nominal)
     )
-    ways = ([] if correction.extension is None else [correction.extension.kind]) + [
-        f"{one.field.kind} in pose space" for one in correction.posed
-    ]
-    extension = " and ".join(ways) or "nothing at all"
     information = ConfigurationInformation(
-        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension}"
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension_in_words(correction)}"
     )
     free = "closing on a pose" if is_redundant(correction.nominal) else "independent"
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes {free}"
@@ -388,6 +384,13 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     return claim_from_machine_draws(
         Workspace(pose_parameter_jacobian(T, correction.nominal), -offset, own, middle), draws, each, information, rng
     )
+
+
+def extension_in_words(correction: AnyCorrection) -> str:
+    """By what a correction is extended, over configurations and over poses, in words."""
+    ways = [] if correction.extension is None else [correction.extension.kind]
+    ways += [f"{one.field.kind} in pose space" for one in correction.posed]
+    return " and ".join(ways) or "nothing at all"
 
 
 def empty_claim_without_held_out_data(information: ConfigurationInformation, workspace: str) -> Claim:

@@ -101,7 +101,7 @@ def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTra
         error = calibration.correction.extension.error(calibration.correction.inverse_without_physics(T_base_platform))
         own = own + error[:, :, None] ** 2 * np.eye(len(fitted.axes))
     covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + back @ own @ np.swapaxes(back, 1, 2)
-    return covariance + calibration.correction.pose_map_standard_error(T_base_platform)[..., None] ** 2 * np.eye(6)
+    return covariance + calibration.correction.pose_map_covariance(T_base_platform)
 
 
 def certify_platform(

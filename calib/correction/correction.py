@@ -81,6 +81,11 @@ class Correction(Generic[M, R]):
     physics: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
+    def is_extended(self) -> bool:
+        """Whether anything is corrected by a map over configurations or poses."""
+        return self.extension is not None or bool(self.posed)
+
+    @property
     def deficient(self) -> bool:
         """Whether the machine has too few axes to take any pose: then it comes as near to wanted ones as it can."""
         return bool(self.nominal.files) and len(self.nominal.pose_coordinates) < 6
@@ -102,12 +107,19 @@ class Correction(Generic[M, R]):
         """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the
         mechanism.
         """
-        T = mechanisms.kinematics_of(self.fitted).forward(
-            np.asarray(commands, float) - self.rho(commands), self.fitted, guess
+        return self.reached_by_maps(
+            mechanisms.kinematics_of(self.fitted).forward(
+                np.asarray(commands, float) - self.rho(commands), self.fitted, guess
+            )
         )
+
+    def reached_by_maps(self, T_base_platform: RigidTransform) -> RigidTransform:
+        """The poses (...) at which the machine stands where its geometry alone has it at T (...): maps in pose space
+        applied, the first first.
+        """
         for one in self.posed:
-            T = one.applied(T)
-        return T
+            T_base_platform = one.applied(T_base_platform)
+        return T_base_platform
 
     def target_poses(self, T_base_platform: RigidTransform) -> RigidTransform:
         """The poses (...) that struts are to be set for so that the machine stands at T (...): maps in pose space
@@ -155,6 +167,10 @@ class Correction(Generic[M, R]):
             )
             out = np.sqrt((1 - weight) * out**2 + one.error(T_base_platform) ** 2)
         return out
+
+    def pose_map_covariance(self, T_base_platform: RigidTransform) -> Floats:
+        """(..., 6, 6) m and rad, covariance of what maps in pose space add to poses (...)."""
+        return np.asarray(self.pose_map_standard_error(T_base_platform)[..., None] ** 2 * np.eye(6))
 
     def uncorrected(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., axes) m that the nominal model gives for wanted poses (...), for comparison."""

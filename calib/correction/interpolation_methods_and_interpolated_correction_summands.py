@@ -27,7 +27,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Linear, Simplex
 from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
-from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap
+from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap, PoseSpace
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )
@@ -38,7 +38,13 @@ from rig.errors import RigError
 from rig.formats.checked_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, strut_length_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    Parallel,
+    geometric_parameters,
+    is_parallel,
+    strut_length_jacobian,
+)
 from rig.model.pose import pose_to_entry
 from rig.planning.configuration_generators import evenly_spread_configurations
 
@@ -266,26 +272,24 @@ def correction_with_additional_pass(correction: AnyCorrection, field: Field | No
     return replace(correction, extension=SummedPasses((*fields, field)))
 
 
-def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection) -> FieldSamples:
+def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection, space: PoseSpace) -> FieldSamples:
     """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
 
-    Over the coordinates in which the mechanism's poses differ, see
-    `timed_command_sequence_and_pose_error_map.PoseMap`. Source:
-    configuration-space patent, [0035]
+    Over the coordinates of a pose space; of an arm or a chain all six of them, since these are the hand's and not the
+    base's. Source: configuration-space patent, [0035]
     """
-    nominal, some = correction.nominal, list(pose_coordinate_indices(correction.nominal))
-    home = home_pose(nominal)
+    nominal, some = correction.nominal, list(space.coordinates)
     T = correction.predict(samples.commanded)
-    _, all_over = solvable_commands_and_poses(evenly_spread_configurations(nominal, PLACES, 1.0), correction)
-    x, box = (
-        timed_command_sequence_and_pose_error_map.pose_coordinates(poses, home)[:, some] for poses in (T, all_over)
-    )
-    both = np.concatenate([x, box])
-    variances = np.einsum("nii->ni", samples.covariance)[:, some]
+    x = timed_command_sequence_and_pose_error_map.pose_coordinates(T, space.home)[:, some]
+    both, told = x, list(range(len(NAMES)))
+    if is_parallel(nominal):
+        _, all_over = solvable_commands_and_poses(evenly_spread_configurations(nominal, PLACES, 1.0), correction)
+        box = timed_command_sequence_and_pose_error_map.pose_coordinates(all_over, space.home)[:, some]
+        both, told = np.concatenate([x, box]), some
     return FieldSamples(
         x,
-        timed_command_sequence_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, some],
-        variances,
+        timed_command_sequence_and_pose_error_map.pose_error_tangents(T, samples.T_base_platform)[:, told],
+        np.einsum("nii->ni", samples.covariance)[:, told],
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
 
@@ -301,16 +305,21 @@ def home_pose(mechanism: Parallel) -> RigidTransform:
     return kinematics.forward(kinematics.home_values(mechanism), mechanism)
 
 
-def correction_with_pose_space_map(correction: AnyCorrection, field: Field | None) -> AnyCorrection:
+def pose_space_of_mechanism(mechanism: Parallel) -> PoseSpace:
+    """Pose space of a mechanism on struts: the coordinates in which its poses differ, rotations counted from home."""
+    return PoseSpace(home_pose(mechanism), pose_coordinate_indices(mechanism))
+
+
+def correction_with_pose_space_map(
+    correction: AnyCorrection, field: Field | None, space: PoseSpace | None = None
+) -> AnyCorrection:
     """Correction with a map in pose space (a Field) added, applied last.
 
-    Unchanged where the field is None.
+    space : over which it is, by default that of the mechanism. Unchanged where the field is None.
     """
     if field is None:
         return correction
-    one = timed_command_sequence_and_pose_error_map.PoseMap(
-        home_pose(correction.nominal), pose_coordinate_indices(correction.nominal), field
-    )
+    one = PoseMap(*(space or pose_space_of_mechanism(correction.nominal)), field)
     return replace(correction, posed=(*correction.posed, one))
 
 
@@ -355,16 +364,19 @@ def pose_map_dict(pose_map: PoseMap) -> Json:
     }
 
 
-def pose_map_from_entries(entries: Entries, nominal: Parallel) -> PoseMap:
+def pose_map_from_entries(entries: Entries, nominal: Commanded) -> PoseMap:
     """PoseMap of a mechanism from its entries, as `pose_map_dict` gives them.
 
     Raises FileError for anything else.
     """
-    some = pose_coordinate_indices(nominal)
-    if entries.texts("coordinates") != tuple(NAMES[i] for i in some):
+    stated = entries.texts("coordinates")
+    some = nominal.pose_coordinates
+    if not is_parallel(nominal) and stated:  # of these, those in which its samples differed
+        some = tuple(i for i in some if NAMES[i] in stated)
+    if stated != tuple(NAMES[i] for i in some):
         entries.fail(
-            f"{entries.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of "
-            f"kind {nominal.kind!r}",
+            f"{entries.name('coordinates')} must be {', '.join(NAMES[i] for i in nominal.pose_coordinates)} for a "
+            f"mechanism of kind {nominal.kind!r}",
             "coordinates",
         )
     return PoseMap(entries.pose("home"), some, field_from_entries(entries.table("field"), len(some)))

@@ -7,7 +7,7 @@ Source: configuration-space patent, [0035] (error maps and compensation in the c
 """
 
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -23,13 +23,21 @@ TOLERANCE = 1e-13  # m and rad, of the error's last change
 NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 
+class PoseSpace(NamedTuple):
+    """home : T_base_platform whose turn rotations are counted from; coordinates : of NAMES, indices of those that poses
+    differ in."""
+
+    home: RigidTransform
+    coordinates: tuple[int, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMap:
     """home : T_base_platform whose turn rotations are counted from; coordinates : of NAMES, indices of those that poses
     differ in
     field : Field over these, position in the base frame (m) and rotation vector from home (rad), whose values are the
     tangent on the right (m, rad) from where a pose is asked for to where the machine stands then, in the same
-    coordinates."""
+    coordinates, or in all six."""
 
     home: RigidTransform
     coordinates: tuple[int, ...]
@@ -68,6 +76,8 @@ class PoseMap:
         )
 
     def _whole(self, values: Floats) -> Floats:
+        if values.shape[-1] == len(NAMES):
+            return values
         out = np.zeros((*values.shape[:-1], 6))
         out[..., list(self.coordinates)] = values
         return out

@@ -311,12 +311,12 @@ def samples_without_displacement(calibration: Calibration, recording: Recording,
     rotations apart. The interval of the displacement includes the calibration's own uncertainty
     """
     known = calibration.with_physics(recording, samples)
-    placed = _without_displacement(calibration, known, recording.design.instrument)
+    placed = placed_samples(calibration, known, recording.design.instrument)
     return replace(placed, samples=calibration.with_physics(recording, placed.samples))
 
 
-def _without_displacement(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
-    """The same of samples with the physics that is known. instrument : as rig.toml states it, or None"""
+def placed_samples(calibration: Calibration, samples: Samples, instrument: Instrument | None) -> PlacedSamples:
+    """PlacedSamples of samples with the physics that is known. instrument : as rig.toml states it, or None"""
     nominal, fitted = calibration.correction.nominal, calibration.correction.fitted
     ends = are_base_and_tool_frames_unknown(instrument, nominal)
     if any(ends):

@@ -19,6 +19,7 @@ from calib.correction.interpolation_methods_and_interpolated_correction_summands
     gaussian_process_from_entries,
     pose_map_from_entries,
 )
+from calib.correction.timed_command_sequence_and_pose_error_map import PoseMap
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm import error_model_and_observations as arm_errors
@@ -156,7 +157,14 @@ class ArmModel:
         axes = len(nominal.axes)
         profiles = tuple(None if part is None else _profile(part, axes) for part in parts)
         visited = tree.array("visited", (None, axes))
-        return ArmCorrection(require_arm(nominal), require_arm(fitted), profiles, visited, extension=extension)
+        return ArmCorrection(
+            require_arm(nominal),
+            require_arm(fitted),
+            profiles,
+            visited,
+            extension=extension,
+            posed=_pose_maps(tree, nominal),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,11 +213,14 @@ def model_of(mechanism: Mechanism) -> MachineModel:
 def _correction(
     tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
 ) -> AnyCorrection:
-    posed = tuple(pose_map_from_entries(one, require_parallel(nominal)) for one in tree.tables("pose_maps"))
     remainder = tuple(
         None if part is None else gaussian_process_from_entries(part, len(nominal.axes)) for part in parts
     )
-    return Correction(nominal, fitted, remainder, extension=extension, posed=posed)
+    return Correction(nominal, fitted, remainder, extension=extension, posed=_pose_maps(tree, nominal))
+
+
+def _pose_maps(tree: Entries, nominal: Commanded) -> tuple[PoseMap, ...]:
+    return tuple(pose_map_from_entries(one, nominal) for one in tree.tables("pose_maps"))
 
 
 def _profile(table: Entries, axes: int) -> Profile:

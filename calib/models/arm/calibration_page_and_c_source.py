@@ -44,6 +44,7 @@ from calib.samples.pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Floats
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
+from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import hand_motion_direction_counts
@@ -187,6 +188,11 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
     origin : of which file and by which version it is made, for its head
     Raises RigError for a way to extend corrections and for an effect that no C file states
     """
+    if correction.posed:
+        raise RigError(
+            "maps in pose space are not in an arm's C file: use `rig correct` or `rig correct serve`, or make the "
+            "pass over configurations"
+        )
     nominal, fitted = correction.nominal, correction.fitted
     axes = len(nominal.joints)
     call = replace(CALL, prototype=CALL.prototype.format(axes))

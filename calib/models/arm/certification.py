@@ -294,6 +294,8 @@ def arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(
         np.resize(calibration.scatter, 6) ** 2 * known
     )
+    if correction.posed:
+        covariance = covariance + correction.pose_map_covariance(correction.predict(commands))
     if correction.extension is None:
         return covariance
     joints = error_model_and_observations.joint_jacobian(commands, correction.fitted)

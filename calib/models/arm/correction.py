@@ -131,10 +131,11 @@ class ArmCorrection(Correction[Arm, Profile]):
         seen = self.predict(self.visited).rotation.as_matrix()[..., 2]
         q = self.visited[np.argmax(wanted @ seen.T, axis=1)].copy()
         for _ in range(ITERATIONS):
-            off = direction_difference(mechanism.forward(q, self.fitted), directions)
+            off = direction_difference(self.reached_by_maps(mechanism.forward(q, self.fitted)), directions)
             J = mechanism.jacobian(q, self.fitted)[:, 3:5]
             q += (np.linalg.pinv(J, rcond=NEAR_SINGULAR) @ off[..., None])[..., 0]
-        left = np.linalg.norm(direction_difference(mechanism.forward(q, self.fitted), directions), axis=1)
+        T = self.reached_by_maps(mechanism.forward(q, self.fitted))
+        left = np.linalg.norm(direction_difference(T, directions), axis=1)
         far = np.flatnonzero(left > TOLERANCE)
         if len(far):
             raise Unreachable(
@@ -142,7 +143,7 @@ class ArmCorrection(Correction[Arm, Profile]):
                 far,
                 [f"direction {i}: no command comes nearer than {left[i] * 1e3:.3g} mrad" for i in far.tolist()],
             )
-        return mechanism.forward(q, self.fitted)
+        return T
 
     def missed(self, T_base_platform: RigidTransform, commands: Floats) -> Floats:
         """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses
@@ -208,10 +209,10 @@ class ArmCorrection(Correction[Arm, Profile]):
 
     def inverse_without_physics(self, T_base_platform: RigidTransform, guess: Floats | None = None) -> Floats:
         """The commands (..., joints) of `inverse` by the configuration alone, whatever else a calibration knows. Raises
-        Unreachable as `inverse`
+        Unreachable as `inverse`, NotConverged as `target_poses`
         """
         shape = T_base_platform.shape
-        T = RigidTransform.from_matrix(T_base_platform.as_matrix().reshape(-1, 4, 4))
+        T = self.target_poses(RigidTransform.from_matrix(T_base_platform.as_matrix().reshape(-1, 4, 4)))
         n = len(self.nominal.joints)
         starts = self._near(T) if guess is None else np.broadcast_to(guess, (*shape, n)).reshape(-1, n)[:, None]
         if self.deficient:
@@ -252,6 +253,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         """Commands (n, joints) rad or m that give poses (n,), sought from the guess (n, joints) alone; NaN where it
         leads to none.
         """
+        T_base_platform = self.target_poses(T_base_platform)
         if self.deficient:
             q, good, _ = self._led(T_base_platform, guess, self.fitted, self.rho)
             return np.where(good[:, None], q, np.nan)

@@ -29,6 +29,7 @@ from calib.certification.extended_correction_certification import (
     Tried,
     certify_interpolation_method,
     empty_claim_without_held_out_data,
+    extension_in_words,
 )
 from calib.certification.held_out_errors import draw_mean_square_common_pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
@@ -46,6 +47,7 @@ from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import (
     PLAUSIBLE,
+    Observations,
     Rank,
     joint_jacobian,
     parameter_jacobian,
@@ -188,20 +190,24 @@ def nominal_arm_correction(
     """
     o = sample_observations(samples)
     arm = placed_nominal_arm(o, nominal, instrument, start)
-    p, k = 12 + 5 * len(arm.joints), o.common.shape[1]
+    return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), unfitted_arm(o, arm)
+
+
+def unfitted_arm(observations: Observations, arm: Arm) -> Identified:
+    """An arm as it is, with nothing fitted, and what it leaves of observations."""
+    p, k = 12 + 5 * len(arm.joints), observations.common.shape[1]
     rank = Rank(np.zeros(p, bool), (), 1.0, 0)
-    found = Identified(
+    return Identified(
         arm,
         np.zeros((p, p)),
         rank.free,
         rank,
-        np.zeros(o.common.shape[2]),
-        o.residuals(arm),
+        np.zeros(observations.common.shape[2]),
+        observations.residuals(arm),
         np.zeros(k),
-        np.ones(len(o), bool),
+        np.ones(len(observations), bool),
         0,
     )
-    return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), found
 
 
 def _mean_square_field_error(field: Field, samples: Samples, arm: Arm) -> float:
@@ -233,14 +239,13 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     each = mean_sample_per_configuration(
         samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)
     )
-    extension = "nothing at all" if correction.extension is None else correction.extension.kind
     information = ConfigurationInformation(
-        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension}"
+        len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension_in_words(correction)}"
     )
     middle = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(information, middle)
-    q = _places(correction)
+    q = evenly_spread_visited_configurations(correction)
     T = correction.predict(q)
     if certified.left is None:
         return empty_claim_without_held_out_data(information, middle)
@@ -251,10 +256,13 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     )
     own = certified.left.own_draws(stated, DRAWS, rng) + draw_mean_square_common_pose_errors(samples, DRAWS, rng)
     offset = pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T)
-    known = certified.found.covariance
+    known = certified.found.covariance  # of what an earlier pass left
+    draws = np.zeros((DRAWS, len(known)))
+    if known.any():
+        draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh")
     return claim_from_machine_draws(
         Workspace(error_model_and_observations.parameter_jacobian(q, correction.fitted), offset, own, middle),
-        np.zeros((DRAWS, len(known))),
+        draws,
         each,
         information,
         rng,
@@ -267,7 +275,7 @@ def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, flo
     X + KSF(X) instead of to the fixed point.
     Source: configuration-space patent, [0030], [0091]
     """
-    q = _places(correction)
+    q = evenly_spread_visited_configurations(correction)
     x = q - _summand(correction, q)
     near = np.isfinite(x).all(axis=1)
     off = mechanism.joint_value_difference(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
@@ -285,7 +293,7 @@ def _summand(correction: ArmCorrection, q: Floats) -> Floats:
     )
 
 
-def _places(correction: ArmCorrection) -> Floats:
+def evenly_spread_visited_configurations(correction: ArmCorrection) -> Floats:
     """(m, joints) rad or m, evenly over the middle of the values visited."""
     seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
     return sobol_configurations(seen, PLACES_HELD, FILL)

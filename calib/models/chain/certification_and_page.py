@@ -131,6 +131,8 @@ def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     correction = calibration.correction
     J = error_model_and_identification.parameter_jacobian(commands, correction.fitted)
     covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+    if correction.posed:
+        covariance = covariance + correction.pose_map_covariance(correction.predict(commands))
     if correction.extension is None:
         return covariance
     axes = mechanism.jacobian(commands, correction.fitted)
@@ -142,7 +144,7 @@ def chain_workspace_values_and_poses(correction: AnyCorrection, commanded: Float
     correction is extended, over the middle of what was commanded (m, axes).
     """
     ranges = mechanism.travel_ranges(correction.nominal)
-    if correction.extension is not None:
+    if correction.is_extended:
         ranges = np.stack([commanded.min(axis=0), commanded.max(axis=0)], axis=1)
     return solvable_commands_and_poses(sobol_configurations(ranges, PLACES, FILL), correction)
 
@@ -153,7 +155,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     retained = samples.take(found.inliers)
     label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
     each = mean_sample_per_configuration(retained, label, mechanism.jacobian(retained.commanded, nominal))
-    part = "every travel" if certified.correction.extension is None else "the recorded values"
+    part = "the recorded values" if certified.correction.is_extended else "every travel"
     words = f"the middle {FILL * 100:.0f} % of {part}, all axes independent"
     requested = int((error_model_and_identification.parameter_tolerances(nominal) > 0).sum())
     determined = requested - len(found.undetermined) if found.covariance.any() else 0
@@ -166,7 +168,7 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     )
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(information, words)
-    if certified.correction.extension is not None and certified.left is None:
+    if certified.correction.is_extended and certified.left is None:
         return empty_claim_without_held_out_data(information, words)
     values, T = chain_workspace_values_and_poses(certified.correction, samples.commanded)
     stated = mean_square_pose_errors_of_extension(certified.correction, values, mechanism.jacobian(values, found.chain))

@@ -57,7 +57,7 @@ def chain_correction_summands(samples: Samples, chain: Chain, covariance: Floats
     return correction_summands_by_nearest_axis_values(samples.frame, samples.effective, model, covariance, near)
 
 
-def _field_samples(samples: Samples, chain: Chain) -> FieldSamples:
+def chain_correction_field_samples(samples: Samples, chain: Chain) -> FieldSamples:
     """Samples for a field of correction summands; what moves no pose adds nothing to their variances."""
     known, ranges = chain_correction_summands(samples, chain, samples.covariance), mechanism.travel_ranges(chain)
     span = np.ptp(ranges, axis=1)
@@ -84,7 +84,7 @@ def certify_chain_correction_extension(
     label = configuration_numbers(samples.commanded, mechanism.travel_ranges(nominal))
 
     def geometry(some: Samples) -> Identified:
-        return _as_stated(some, nominal) if request.alone else identify_chain(some, nominal)
+        return unfitted_chain(some, nominal) if request.alone else identify_chain(some, nominal)
 
     report("fitting the geometry", 0, 1)
     found = geometry(samples)
@@ -93,7 +93,7 @@ def certify_chain_correction_extension(
     def stand(some: Samples) -> ExtensionBasis:
         chain = (found if some is samples else geometry(some)).chain
         return ExtensionBasis(
-            _field_samples(some, chain),
+            chain_correction_field_samples(some, chain),
             lambda field: _corrected(nominal, chain, field),
             lambda field, at: _mean_square_field_error(field, at, chain),
         )
@@ -153,8 +153,8 @@ def _covariance(samples: Samples, fitted: Chain, nominal: Chain, scatter: Floats
     return covariance
 
 
-def _as_stated(samples: Samples, nominal: Chain) -> Identified:
-    """Identified with nothing fitted."""
+def unfitted_chain(samples: Samples, nominal: Chain) -> Identified:
+    """Identified of a chain as it is, with nothing fitted."""
     count = parameter_jacobian(samples.commanded[:1], nominal).shape[-1]
     every = np.ones(len(samples), bool)
     return Identified(nominal, np.zeros(count), np.zeros((count, count)), (), (), np.zeros(6), every)

@@ -222,6 +222,8 @@ def _print_extension(found: ExtendedCorrection) -> None:
         f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {found.base}"
         + (f"; exact at its {count} samples" if count else "")
     )
+    for line in found.remarks:
+        print(line)
     if len(found.lost):
         print(
             f"{len(found.lost)} of the grid's {count + len(found.lost)} vertices were not measured; corrections there "

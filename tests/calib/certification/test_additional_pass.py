@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
@@ -20,6 +19,7 @@ from calib.correction.interpolation.field_interface_and_combinations import (
     SummedPasses,
 )
 from calib.files import calibration_file
+from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from calib.samples.pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod

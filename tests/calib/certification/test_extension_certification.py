@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import (
     ExtensionRequest,
@@ -17,6 +16,7 @@ from calib.certification.extended_correction_certification import (
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
 from calib.correction.interpolation_methods_and_interpolated_correction_summands import single_step_command_errors
 from calib.files import calibration_file
+from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference

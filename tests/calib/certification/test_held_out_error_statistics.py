@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, sqrtm
 
-from calib.api.correction_over_configuration_or_pose_space import CorrectionPass, certify_additional_pass
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
 from calib.certification.error_claim_over_workspace import (
     PLACES,
@@ -27,6 +26,7 @@ from calib.certification.held_out_errors import (
     residuals_corrected_for_absorbed_noise,
 )
 from calib.correction.correction import Correction, solvable_commands_and_poses
+from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm as certify_arm
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim as promised_arm

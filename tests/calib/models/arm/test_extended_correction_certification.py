@@ -200,17 +200,11 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
     assert left["radial"] < 0.1 * left["bare"] and left["radial"] < 6e-5 and left["single"] < 2 * left["radial"]
     stated = rig("certify", tmp_path / "radial.json", tmp_path / "rec2", "--out", tmp_path / "certificate.json")
     assert "95 %" in stated and json.loads((tmp_path / "certificate.json").read_text())
-    assert "an arm's is extended in one step" in rig(
-        "calibrate",
-        tmp_path / "rec2",
-        "--extend",
-        "radial",
-        "--onto",
-        tmp_path / "radial.json",
-        "--out",
-        tmp_path / "again.json",
-        ok=False,
-    )
+    again = ("calibrate", tmp_path / "rec2", "--extend", "axes", "--onto", tmp_path / "radial.json")
+    output = rig(*again, "--out", tmp_path / "again.json")
+    assert "radial.json, pass 2" in output and "the base stands where it stood" in output
+    assert json.loads((tmp_path / "again.json").read_text())["provenance"]["pass"]["number"] == 2
+    assert "degrees from their mean" in rig(*again, "--space", "pose", "--out", tmp_path / "pose.json", ok=False)
 
 
 def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
