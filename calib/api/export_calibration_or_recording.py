@@ -3,27 +3,23 @@
 Geometry, corrections, lookup tables, lenses and recordings, in the formats of those programs.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib import metadata
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from calib.api.correct import CorrectOptions, correct
-from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.api.lookup_table_over_sensor_channels import correction_lookup_table
 from calib.correction.controller_kinematics_source import grblhal_kinematics_source, linuxcnc_kinematics_source
 from calib.correction.correction_as_c_source import correction_c_source
 from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
 from calib.files import calibration_file
 from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.correction import ArmCorrection
-from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
-from rig.formats.numbers_and_units import quantity_text
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
@@ -36,136 +32,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod,
     require_hexapod_or_redundant_hexapod,
 )
-from rig.recording.recording_folder import Sensors, load_recording
-from rig.recording.recording_tables import COVARIANCE_COLUMNS, POSE_COLUMNS
-from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses, load_wanted_poses
-
-LARGEST = 100_000  # rows
-Point = tuple[float, ...]  # a value of each channel
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LookupTable:
-    """channels : {name: (k,) values}, a row for each combination and wanted pose; columns : names of the table's
-    columns; rows : (n, columns): channels, frame, wanted pose (m, rad), commands (m, rad), upper triangle of the
-    covariance of the pose that comes of them (m, rad, on the right)
-    interpolation_error : m or rad, greatest of the commands in the middle between rows, interpolated linearly
-    uncertainty : (m, rad) standard uncertainty of the poses, RMS; unit : of the commands
-    """
-
-    channels: dict[str, Floats]
-    columns: tuple[str, ...]
-    rows: Floats
-    interpolation_error: float
-    uncertainty: tuple[float, float]
-    unit: str
-
-    @property
-    def csv(self) -> str:
-        """The table as CSV."""
-        frame = self.columns.index("frame")
-        lines = [
-            ",".join(str(int(value)) if k == frame else f"{value:.12g}" for k, value in enumerate(row))
-            for row in self.rows.tolist()
-        ]
-        return "\n".join([",".join(self.columns), *lines, ""])
-
-    def __str__(self) -> str:
-        counts = " x ".join(str(len(values)) for values in self.channels.values())
-        return (
-            f"{len(self.rows)} rows ({counts} of {', '.join(self.channels)}); linear interpolation errs by "
-            f"up to {quantity_text(self.interpolation_error, self.unit)} of a command, beside a standard uncertainty "
-            f"of the poses of {quantity_text(self.uncertainty[0], 'm')} and {quantity_text(self.uncertainty[1], 'rad')}"
-        )
-
-
-def correction_lookup_table(
-    calibration: Calibration, wanted: WantedPoses, channels: Mapping[str, Sequence[float]]
-) -> LookupTable:
-    """LookupTable of a calibration for wanted poses.
-
-    At every combination of values of sensor channels.
-    channels : {name: (k,) values in the channel's unit, ascending}; others stand as when calibrated, and their spread
-        is in the covariance
-    Every pose is held until all has come to rest. Where axes remember their way, a pose is not approached from one
-    side: what that leaves is in the covariance.
-    Raises RigError for a channel on which nothing depends, Unreachable for poses that no command reaches
-    """
-    if wanted.t is not None or wanted.directions:
-        raise RigError(
-            "a lookup table takes whole poses without times: leave out the column t"
-            if wanted.t is not None
-            else "a lookup table takes whole poses, not directions"
-        )
-    values = {name: np.asarray(own, float) for name, own in channels.items()}
-    _require_known(calibration, values)
-    count = len(wanted.poses.frame) * int(np.prod([len(own) for own in values.values()]))
-    if count > LARGEST:
-        raise RigError(f"the table would have {count} rows; at most {LARGEST}")
-    T = wanted.poses.T_base_platform
-
-    def commands(point: Point) -> tuple[Floats, Floats]:
-        log = Sensors(np.zeros(1), {name: np.array([value]) for name, value in zip(values, point)})
-        done = correct(calibration, T, CorrectOptions(sensors=log, approach="never"))
-        assert done.covariance is not None
-        return done.values, done.covariance
-
-    found = {point: commands(point) for point in product(*(own.tolist() for own in values.values()))}
-    upper = np.triu_indices(6)
-    poses = np.column_stack([T.translation, T.rotation.as_rotvec()])
-    rows = np.concatenate(
-        [
-            np.column_stack(
-                [np.tile(point, (len(T), 1)), wanted.poses.frame, poses, q, covariance[:, upper[0], upper[1]]]
-            )
-            for point, (q, covariance) in found.items()
-        ]
-    )
-    square = np.mean([np.einsum("nii->ni", covariance) for _, covariance in found.values()], axis=(0, 1))
-    nominal = calibration.correction.nominal
-    return LookupTable(
-        values,
-        (*values, "frame", *POSE_COLUMNS, *nominal.axes, *COVARIANCE_COLUMNS),
-        rows,
-        _interpolation_error(values, {point: q for point, (q, _) in found.items()}, lambda point: commands(point)[0]),
-        (float(np.sqrt(square[:3].sum())), float(np.sqrt(square[3:].sum()))),
-        mechanisms.travel_unit(nominal),
-    )
-
-
-def _require_known(calibration: Calibration, channels: Mapping[str, Floats]) -> None:
-    """Raise RigError for channels on which nothing in the calibration depends, or whose values do not ascend."""
-    physics = calibration.physics
-    known = [] if physics is None else [*physics.channels, *(tilt.channel for tilt in physics.tilts)]
-    if not channels:
-        raise RigError("a lookup table takes at least one sensor channel and its values")
-    for name, values in channels.items():
-        if name not in known:
-            raise RigError(
-                f"the calibration was not learnt with a channel {name!r}; it has "
-                f"{', '.join(dict.fromkeys(known)) or 'none: calibrate with --diagnosis or --find'}"
-            )
-        if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (np.diff(values) <= 0).any():
-            raise RigError(f"the values of {name} must ascend, got {values.tolist()}")
-
-
-def _interpolation_error(
-    channels: Mapping[str, Floats], rows: Mapping[Point, Floats], commands: Callable[[Point], Floats]
-) -> float:
-    """m or rad, greatest difference in the middle of cells between commands and the mean of those at the corners."""
-    sides = [
-        list(zip(own[:-1], own[1:])) if len(own) > 1 else [(own[0],)]
-        for own in (values.tolist() for values in channels.values())
-    ]
-    worst = 0.0
-    for cell in product(*sides):
-        middle = tuple(float(np.mean(side)) for side in cell)
-        if middle in rows:
-            continue  # a table of one value
-        mean = np.mean([rows[corner] for corner in product(*cell)], axis=0)
-        worst = max(worst, float(np.abs(commands(middle) - mean).max()))
-    return worst
-
+from rig.recording.recording_folder import load_recording
+from rig.recording.wanted_poses_and_roll_pitch_yaw import load_wanted_poses
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 C_SOURCES = ("c", "linuxcnc-kins", "grblhal-kins")  # all of a correction, for a controller
@@ -187,7 +55,8 @@ class ExportOptions:
     cardans' twist that turns the screws; lead : of the screws, m per revolution, None for what a rig.toml states; parts
     : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3; poses : of lut, the table of
     wanted poses; over : of lut, {sensor channel: its values, ascending}; zero : of grblhal-kins, m, lengths of the
-    struts where the motors count 0, one or six, () for those of the home pose
+    struts where the motors count 0, one or six, () for those of the home pose; uncertainty : of lut, {"position": m or
+    "rotation": rad} standard uncertainties for which visits are counted
     """
 
     units: str = "mm"
@@ -197,6 +66,7 @@ class ExportOptions:
     poses: Path | None = None
     over: Mapping[str, Sequence[float]] = field(default_factory=dict)
     zero: tuple[float, ...] = ()
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,6 +105,8 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     Returns ExportResult, files for another program
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
+    if options.uncertainty and kind != LOOKUP:
+        raise RigError(f"--uncertainty counts visits for a table of --format lut; --format {kind} takes none")
     if options.zero and kind != "grblhal-kins":
         raise RigError(f"--zero states where motors of grblhal-kins count 0; --format {kind} takes none")
     if kind in TABLES:
@@ -259,7 +131,8 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
         if options.poses is None:
             raise RigError("lut takes the wanted poses, as --poses FILE")
         table = correction_lookup_table(calibration_file.load(machine), load_wanted_poses(options.poses), options.over)
-        return ExportResult({"": table.csv}, str(table))
+        wanted = [table.visits_for(kind, size) for kind, size in options.uncertainty.items()]
+        return ExportResult({"": table.csv}, "; ".join([str(table), *wanted]))
     if kind in CAMERAS:
         return _cameras(machine, kind)
     if kind in RECORDINGS:

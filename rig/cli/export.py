@@ -12,7 +12,7 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_option_values import quantity_parser
+from rig.cli.shared.argument_parser_and_option_values import parse_tolerance, quantity_parser
 from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
 from rig.cli.shared.input_options import add_deprecated_option_name
 from rig.errors import RigError
@@ -97,6 +97,15 @@ def arguments(parser: ArgumentParser) -> None:
         help="of lut: sensor channels and their values, such as elevation_deg=0:90:10 ambient_temperature_C=10,25",
     )
     parser.add_argument(
+        "--uncertainty",
+        metavar="20um",
+        nargs="+",
+        default=[],
+        type=parse_tolerance,
+        help="of lut: state how many visits a calibration takes for this standard uncertainty of poses, RMS over the "
+        "table, of position, of rotation (0.1mrad, 20arcsec) or of both",
+    )
+    parser.add_argument(
         "--zero",
         metavar="250mm",
         nargs="+",
@@ -129,6 +138,7 @@ def run(arguments: Namespace) -> None:
         arguments.poses,
         dict(arguments.over),
         tuple(arguments.zero),
+        dict(arguments.uncertainty),
     )
     result = export(arguments.machine, arguments.format, options)
     for line in result.left_out:

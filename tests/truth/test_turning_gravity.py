@@ -3,6 +3,7 @@
 The statics, the tilt and the kinematics are those of a second writer: see tests.truth.loads.
 """
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,12 +15,14 @@ import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
 from calib.api.correct import CorrectOptions
+from calib.api.lookup_table_over_sensor_channels import correction_lookup_table
 from calib.correction.physics_compensation import Physics
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.model.base_and_link_tilt_sensors import GRAVITY, BaseTilt
 from rig.recording.recording_folder import Sensors, sensors_with_gravity
+from rig.recording.wanted_poses_and_roll_pitch_yaw import load_wanted_poses
 from tests.truth import draw, record, rms, wanted
 from tests.truth.camera_sets import Camera, Sight
 from tests.truth.case import Case
@@ -58,9 +61,9 @@ class TiltedSprings(Springs):
         return np.linalg.solve(np.swapaxes(motion.machine.rates(poses), 1, 2), -wrench[..., None])[..., 0]
 
 
-def tilting(seed: int, end: float) -> Case:
+def tilting(seed: int, end: float, count: int = 60) -> Case:
     """A case whose struts give by some 100 um under the platform's weight, tilted from 0 to end degrees."""
-    case = draw(seed, "none", count=60)
+    case = draw(seed, "none", count=count)
     stiffness = case.mass * 9.81 / 6 / 1e-4
     law = TiltedSprings(
         np.ones(6), case.mass, case.centre, case.payload, stiffness, np.inf, (0.0, end, float(case.journey.t[-1]))
@@ -130,6 +133,26 @@ def test_a_lookup_table_holds_between_its_rows_to_what_it_states(tmp_path, capsy
     assert (off < 3 * sigma[6]).mean() > 0.9 and off.mean() < 2 * sigma[6].mean()
     assert main([*run, "--over", "elevation=0:90:7.5", "--out", str(tmp_path / "no.csv")]) == 1
     assert "not learnt with a channel 'elevation'; it has elevation_deg" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_visits_that_a_lookup_table_asks_for_give_its_uncertainty(tmp_path):
+    case, channels = tilting(4, 90.0), {"elevation_deg": [0.0, 45.0, 90.0]}
+    write_wanted(wanted(case, 12), tmp_path / "wanted.csv")
+    goals, tables = load_wanted_poses(tmp_path / "wanted.csv"), []
+    for count in (60, 180):
+        folder = tmp_path / f"d{count}"
+        folder.mkdir()
+        recording = recorded(tilting(4, 90.0, count), tmp_path / f"r{count}")
+        calib.diagnose(recording).write(folder)
+        calibration = calib.calibrate(recording, CalibrateOptions(diagnosis=folder, quick=True)).calibration
+        tables.append(correction_lookup_table(calibration, goals, channels))
+    first, more = tables
+    for k, kind in enumerate(("position", "rotation")):
+        text = first.visits_for(kind, more.uncertainty[k])
+        print(f"{first.uncertainty[k] * 1e6:.3f} from 60, {more.uncertainty[k] * 1e6:.3f} from 180: {text}")
+        least, most = re.search(r"takes (?:at least )?(\d+)(?: to (\d+))? visits", text).groups()
+        assert 180 / 2 < int(least) < 2 * 180 and (most is None or int(most) > 180)  # few visits overstate scatter
 
 
 @dataclass(frozen=True)
