@@ -30,12 +30,13 @@ SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below whi
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmKinematics:
     """arm : as its owner believes it; correction : of its calibration, or None; left_out : what of the calibration this
-    leaves out, a sentence, or None
+    leaves out, a sentence, or None; spacing : m, of the points B and C of the hand from A, where steps are given
     """
 
     arm: Arm
     correction: ArmCorrection | None = None
     left_out: str | None = None
+    spacing: float = 1.0
 
     def forward(self, frames: Integers, q: Floats, steps: bool = False) -> Json:
         """Poses that joint values q (n, joints) rad or m give, as `rig arm kinematics --forward --json` prints them.
@@ -61,7 +62,8 @@ class ArmKinematics:
                 | (
                     {
                         "steps": _steps(
-                            arm_dynamics_and_step_by_step_kinematics.hand_points_after_moving_each_joint(q[i], arm)
+                            arm_dynamics_and_step_by_step_kinematics.hand_points_after_moving_each_joint(q[i], arm),
+                            self.spacing,
                         )
                     }
                     if steps
@@ -78,10 +80,12 @@ class ArmKinematics:
             form = closed_form_and_numerical_arm_inverse.closed_form_of_six_joint_arm(arm)
         except RigError as error:
             why_none = str(error)
-        out = []
+        out, spacing = [], self.spacing if steps else None
         for i, frame in enumerate(frames.tolist()):
             state, entries = (
-                _numeric(T_base_platform[i], arm, steps) if form is None else _closed(T_base_platform[i], form, steps)
+                _numeric(T_base_platform[i], arm, spacing)
+                if form is None
+                else _closed(T_base_platform[i], form, spacing)
             )
             for entry in entries:
                 entry["beyond_limits"] = _beyond(entry["q"], arm)
@@ -124,16 +128,23 @@ def _near_singular(q: Floats, arm: Arm) -> float:
     return float(values[sum(closed_form_and_numerical_arm_inverse.hand_motion_direction_counts(arm)) - 1] / values[0])
 
 
-def _closed(T: RigidTransform, form: SixJointArm, steps: bool) -> tuple[str, list[Json]]:
-    """(state of a pose in words, its branches), in closed form."""
+def _closed(T: RigidTransform, form: SixJointArm, spacing: float | None) -> tuple[str, list[Json]]:
+    """(state of a pose in words, its branches), in closed form.
+
+    spacing : m, of the points in its steps, None for no steps
+    """
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, form)
     return found.why(0), [
         {
             "q": q.tolist(),
             "singular": _singular(flags),
             **(
-                {"steps": _steps(arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(T, form, q))}
-                if steps
+                {
+                    "steps": _steps(
+                        arm_dynamics_and_step_by_step_kinematics.steps_of_closed_form_inverse(T, form, q), spacing
+                    )
+                }
+                if spacing is not None
                 else {}
             ),
         }
@@ -141,9 +152,9 @@ def _closed(T: RigidTransform, form: SixJointArm, steps: bool) -> tuple[str, lis
     ]
 
 
-def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]:
+def _numeric(T: RigidTransform, arm: Arm, spacing: float | None) -> tuple[str, list[Json]]:
     """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints
-    leave of it.
+    leave of it. spacing : as there
     """
     found = closed_form_and_numerical_arm_inverse.numerical_inverse_solutions(T, arm)
     if not len(found.q):
@@ -156,8 +167,12 @@ def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[Json]]
             "rest": rest.tolist(),
             "found": "numerically",
             **(
-                {"steps": _steps(arm_dynamics_and_step_by_step_kinematics.joint_by_joint_inverse_steps(T, arm, q))}
-                if steps
+                {
+                    "steps": _steps(
+                        arm_dynamics_and_step_by_step_kinematics.joint_by_joint_inverse_steps(T, arm, q), spacing
+                    )
+                }
+                if spacing is not None
                 else {}
             ),
         }
@@ -184,15 +199,20 @@ def _singular(flags: int) -> str:
     return ", ".join(name for bit, name in closed_form_and_numerical_arm_inverse.SINGULAR.items() if flags & bit)
 
 
-def _steps(steps: list[KinematicsStep]) -> list[Json]:
-    return [
-        {
-            "joint": s.joint,
-            "value": s.value,
-            "axis": {"point": s.axis[0].tolist(), "vector": s.axis[1].tolist()},
-            "points": dict(zip(s.names, s.points.tolist())),
-            "AB": (s.points[1] - s.points[0]).tolist(),
-            "AC": (s.points[2] - s.points[0]).tolist(),
-        }
-        for s in steps
-    ]
+def _steps(steps: list[KinematicsStep], spacing: float) -> list[Json]:
+    """Steps, with B and C as far from A as stated: the hand is rigid. Source: recursive kinematics patent, claim 3"""
+    out = []
+    for s in steps:
+        A, AB, AC = s.points[0], spacing * (s.points[1] - s.points[0]), spacing * (s.points[2] - s.points[0])
+        points = [A, A + AB, A + AC, *s.points[3:]]
+        out.append(
+            {
+                "joint": s.joint,
+                "value": s.value,
+                "axis": {"point": s.axis[0].tolist(), "vector": s.axis[1].tolist()},
+                "points": {name: point.tolist() for name, point in zip(s.names, points)},
+                "AB": AB.tolist(),
+                "AC": AC.tolist(),
+            }
+        )
+    return out

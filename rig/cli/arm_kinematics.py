@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 
 from rig.array_and_json_types import Json
+from rig.cli.shared.argument_parser_and_option_values import parse_length
 from rig.cli.shared.common_options import add_json_option, print_json
+from rig.errors import RigError
 
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
 
@@ -29,6 +32,12 @@ def arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="points A, B, C (D, E) and space vectors after each joint, in the arm's global frame",
     )
+    parser.add_argument(
+        "--spacing",
+        type=parse_length,
+        metavar="100mm",
+        help="of --steps: how far B and C lie from A, along z and y of the hand at zero (default 1 m)",
+    )
     add_json_option(parser)
 
 
@@ -41,7 +50,11 @@ def run(arguments: Namespace) -> None:
     from rig.formats import csv_and_parquet_tables_and_time_origin
     from rig.recording import recording_tables
 
+    if arguments.spacing is not None and not arguments.steps:
+        raise RigError("--spacing places the points that --steps prints; give --steps as well")
     machine = load_arm_kinematics(arguments.arm)
+    if arguments.spacing is not None:
+        machine = replace(machine, spacing=arguments.spacing)
     if machine.left_out is not None:
         print(machine.left_out, file=sys.stderr)
     if arguments.forward:

@@ -41,7 +41,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         nargs="+",
-        help="cameras as Kalibr, multical, caliscope, ROS (camera_info) or OpenCV "
+        help="cameras as Kalibr, multical, caliscope, ROS (camera_info), RealSense or OpenCV "
         "calibrated them, in place of rig.toml's; with nothing else to import, --out FILE.toml is a rig.toml",
     )
     parser.add_argument(

@@ -140,3 +140,16 @@ def test_a_calibrated_arm_is_finished_from_every_branch():
         )
         assert (moved < 0.05).all() and (moved > 1e-5).all()
         assert np.abs(np.exp(1j * finished) - np.exp(1j * q[i])).max(axis=1).min() < 1e-8
+
+
+def test_the_hands_points_lie_as_far_apart_as_stated(tmp_path, rig):
+    T = mechanism.forward(np.full((1, 6), 0.4), shipped_arms_and_layouts.load_shipped_arm_design("puma560").mechanism)
+    file = poses_file(tmp_path / "p.csv", T)
+    far, near = (
+        json.loads(rig("puma560", "--inverse", file, "--steps", *more, "--json"))["frames"][0]["solutions"][0]["steps"]
+        for more in ((), ("--spacing", "100mm"))
+    )
+    for one, other in zip(far, near):
+        np.testing.assert_allclose(other["AB"], 0.1 * np.array(one["AB"]), atol=1e-12)
+        np.testing.assert_allclose(np.subtract(other["points"]["C"], other["points"]["A"]), other["AC"], atol=1e-12)
+        assert other["points"]["A"] == one["points"]["A"] and other["value"] == one["value"]

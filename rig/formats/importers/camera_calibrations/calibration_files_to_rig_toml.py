@@ -14,8 +14,9 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
-from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS
+from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS, REALSENSE
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
+from rig.formats.importers.camera_calibrations.realsense_intrinsics import realsense_text_entries
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.numbers_and_units import parse_numbers, stated_units
@@ -51,6 +52,10 @@ def _root(path: Path) -> Entries:
     suffix = path.suffix.lower()
     if suffix == ".json":
         return json_toml_and_yaml_loading.load_json(path, "calibration of cameras")
+    if suffix not in (".toml", ".yaml", ".yml"):
+        found = realsense_text_entries(read_text(path, LARGEST), path)
+        if found is not None:
+            return found
     if suffix != ".toml":
         if suffix == ".xml":
             raise FileError(
@@ -73,6 +78,8 @@ def rig_toml_with_cameras(
     changed: list[Camera] = []
     for file in settings.files:
         kind, found = read_camera_calibration(file)
+        if kind == REALSENSE:
+            found = _streams_of_rig(found, settings, known, file)
         named = {_ours(one, settings, known, alone=len(found) * len(settings.files) == 1): one for one in found}
         if len(named) < len(found):
             raise RigError(f"{file}: two of its cameras would be one: --set cameras.names.THEIRS=OURS separates them")
@@ -91,6 +98,26 @@ def rig_toml_with_cameras(
     for camera in added:
         text = text.rstrip("\n") + "\n\n" + camera_toml(camera, has_pose=True, units=units)
     return text, lines + ((f"added to rig.toml: {', '.join(camera.name for camera in added)}",) if added else ())
+
+
+def _streams_of_rig(
+    found: list[ForeignCamera], settings: Cameras, known: dict[str, Camera], file: Path
+) -> list[ForeignCamera]:
+    """Of a RealSense's streams and sizes those that are named, or else the one of the size of rig.toml's only camera.
+
+    Raises RigError where neither tells which it is
+    """
+    named = [one for one in found if one.name in dict(settings.names)]
+    if named or len(found) == 1:
+        return named or found
+    sizes = {(camera.width, camera.height) for camera in known.values()}
+    fitting = [one for one in found if one.size in sizes and one.name.startswith("color")] if len(known) == 1 else []
+    if len(fitting) != 1:
+        raise RigError(
+            f"{file} lists {', '.join(one.name for one in found)}: --set cameras.names.STREAM=OURS states which "
+            "is which camera of rig.toml"
+        )
+    return fitting
 
 
 def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: bool) -> str:

@@ -29,6 +29,7 @@ from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye
     checked_image_size,
     rational_lens_of_fisheye,
 )
+from rig.formats.importers.camera_calibrations.realsense_intrinsics import is_realsense, read_realsense
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import LARGEST_IMAGE
 
 KALIBR_NAME = re.compile(r"cam(\d{1,4})")
@@ -275,9 +276,11 @@ def _matrix(root: Entries, key: str, shape: tuple[int, int] | None) -> Floats:
     return e.array("data", (rows * columns,)).reshape(rows, columns)
 
 
+REALSENSE = "rs-enumerate-devices or RealSense's intrinsics"
 PROGRAMS: dict[str, tuple[Callable[[Entries], bool], Callable[[Entries], list[ForeignCamera]]]] = {
     "Kalibr": (is_kalibr, read_kalibr),
     "multical": (is_multical, read_multical),
     "caliscope": (is_caliscope_camera_array, read_caliscope),
     "ROS camera_info or OpenCV": (is_opencv_or_ros, read_opencv_or_ros),
+    REALSENSE: (is_realsense, read_realsense),
 }  # whether a file's root table is of a program, and its cameras
