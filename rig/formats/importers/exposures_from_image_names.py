@@ -251,14 +251,9 @@ def group_images_into_exposures(
         raise RigError("images.tolerance groups images by their times, and these have frame numbers; leave it out")
     order = sorted(range(len(image_files)), key=lambda k: (numbers[k], image_files[k].camera))
     _once([(numbers[k], image_files[k].camera, image_files[k].path) for k in order])
-    if t is not None:
-        first: dict[int, Decimal] = {}
-        for k in order:
-            first.setdefault(numbers[k], t[k])
-        t = [first[numbers[k]] for k in order]
     return ImportedExposures(
         [numbers[k] for k in order],
-        t,
+        None if t is None else [t[k] for k in order],
         [image_files[k].camera for k in order],
         [image_files[k].path for k in order],
         images,
@@ -275,7 +270,7 @@ def _once(rows: list[tuple[int, str, Path]]) -> None:
 
 
 def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, remarks: tuple[str, ...]) -> ImportedExposures:
-    """Exposures that are at most a tolerance apart become one frame, at the middle of its times."""
+    """Exposures that are at most a tolerance apart become one frame, each at its own time."""
     order = sorted(range(len(found)), key=lambda k: (t[k], found[k].camera))
     within, tolerance_remarks = _tolerance(found, t, order, images)
     groups: list[list[int]] = []
@@ -296,13 +291,12 @@ def _grouped(found: list[ImageFile], t: list[Decimal], images: Images, remarks: 
             )
         widest = max(widest, float(t[group[-1]] - t[group[0]]))
         frame += [number] * len(group)
-        at += [t[group[0]] + (t[group[-1]] - t[group[0]]) / 2] * len(group)
+        at += [t[k] for k in group]
     flat = [k for group in groups for k in group]
     remarks = (
         *remarks,
         *tolerance_remarks,
-        f"images within {within:g} s of each other are one frame, at the middle of their times (the widest "
-        f"{widest * 1e3:.3g} ms)",
+        f"images within {within:g} s of each other are one frame (the widest {widest * 1e3:.3g} ms)",
     )
     return ImportedExposures(
         frame,

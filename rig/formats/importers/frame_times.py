@@ -29,6 +29,7 @@ from rig.formats.importers.foreign_table_columns import (
 )
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.formats.importers.units_and_timestamps import UnclearInput
+from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS
 from rig.recording.recording_folder import LAST_DWELL
 
 LISTED = 20  # of what is missing, in a message
@@ -44,9 +45,10 @@ def exposures_timed_by_names_table_or_commands(
     are_plausible : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
     """
     if recipe.frames is not None:
-        return _by_table(exposed, recipe, recipe.frames, are_plausible)
+        timed, recipe = _by_table(exposed, recipe, recipe.frames, are_plausible)
+        return _with_times_of_one_frame(timed, commanded), recipe
     if exposed.t is not None:
-        return exposed, recipe
+        return _with_times_of_one_frame(exposed, commanded), recipe
     numbers = sorted(set(exposed.frame))
     if exposed.images.shift:
         raise RigError(
@@ -85,6 +87,27 @@ def exposures_timed_by_names_table_or_commands(
     return replace(exposed, t=[at[n] for n in exposed.frame], remarks=(*exposed.remarks, message)), recipe
 
 
+def _with_times_of_one_frame(exposed: ImportedExposures, commanded: ImportedCommands | None) -> ImportedExposures:
+    """The exposures with each camera's own times where a recording takes these; else with the middle of a frame's.
+
+    A recording takes them up to ONE_FRAME apart where commands state how the machine moved, else to SIMULTANEOUS.
+    """
+    own: dict[int, list[Decimal]] = {}
+    for frame, t in zip(exposed.frame, exposed.times()):
+        own.setdefault(frame, []).append(t)
+    widest = max(float(max(times) - min(times)) for times in own.values())
+    if not widest:
+        return exposed
+    most = ONE_FRAME if commanded is not None else SIMULTANEOUS
+    if widest <= most:
+        remark = f"each camera's own times are kept: those of a frame differ by up to {widest * 1e3:.3g} ms"
+        return replace(exposed, remarks=(*exposed.remarks, remark))
+    middle = {frame: min(times) + (max(times) - min(times)) / 2 for frame, times in own.items()}
+    reason = "more than a frame's may" if commanded is not None else "and no commands state how the machine moved"
+    remark = f"times of a frame differ by up to {widest * 1e3:.3g} ms, {reason}: each frame is at the middle of them"
+    return replace(exposed, t=[middle[frame] for frame in exposed.frame], remarks=(*exposed.remarks, remark))
+
+
 def _by_table(
     exposed: ImportedExposures, recipe: Recipe, table: ForeignTable, like: Like
 ) -> tuple[ImportedExposures, Recipe]:
@@ -113,11 +136,16 @@ def _by_table(
         at, keys = _times_of_image_names(cells, found, t.seconds, exposed)
         gone = [name for name in at if name not in set(keys)]
     else:
-        numbers = cells.whole_numbers(found["frame"])
-        at, keys = {}, [str(n) for n in exposed.frame]
-        for line, number, seconds in zip(cells.lines, numbers, t.seconds):
-            if at.setdefault(str(number), seconds) != seconds:
-                message = f"frame {number} has the time {seconds:f} s here, and {at[str(number)]:f} s in a line above"
+        ours = {theirs.lower(): name for theirs, name in exposed.images.cameras}
+        cameras = (
+            [ours.get(word.lower(), word) for word in cells.column(found["camera"])] if "camera" in found else None
+        )
+        keys = [f"{n}{'' if cameras is None else f' of {c}'}" for n, c in zip(exposed.frame, exposed.camera)]
+        at = {}
+        for k, (line, number, seconds) in enumerate(zip(cells.lines, cells.whole_numbers(found["frame"]), t.seconds)):
+            key = f"{number}{'' if cameras is None else f' of {cameras[k]}'}"
+            if at.setdefault(key, seconds) != seconds:
+                message = f"frame {key} has the time {seconds:f} s here, and {at[key]:f} s in a line above"
                 raise FileError(cells.path, f"{message}; correct one of them", line)
         gone = []
     missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
@@ -126,18 +154,13 @@ def _by_table(
             f"{cells.path}: {missing[0]} has no row"
             + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else "")
         )
-    first: dict[int, Decimal] = {}
-    for frame, key in zip(exposed.frame, keys):
-        first.setdefault(frame, at[key])
     absent = (
         (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",)
         if gone
         else ()
     )
     lines = (*exposed.remarks, *cells.remarks, *t.remarks, *absent)
-    return replace(exposed, t=[first[frame] for frame in exposed.frame], remarks=lines), replace(
-        recipe, frames=resolved
-    )
+    return replace(exposed, t=[at[key] for key in keys], remarks=lines), replace(recipe, frames=resolved)
 
 
 def _times_of_image_names(
