@@ -27,6 +27,7 @@ from calib.models.additional_correction_pass import (
     POSE,
     CorrectionPass,
     certify_additional_pass,
+    mechanism_placed_as_calibrated,
     samples_in_frames_of_calibration,
 )
 from calib.models.arm import joint_space_correction_and_workspace_claim as arm_extension
@@ -44,7 +45,6 @@ from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.design import Design
-from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     has_links,
@@ -89,10 +89,8 @@ class ExtendOptions:
             )
         if self.onto is None:
             return
-        nominal, known = require_axes(design.mechanism), self.onto.correction.nominal
-        if isinstance(nominal, Arm) and isinstance(known, Arm) and design.instrument is not None:
-            free = design.instrument.base == "free", design.instrument.tool == "free"  # placed where it was measured
-            nominal = nominal.with_ends(known.base if free[0] else None, known.tool if free[1] else None)
+        known = self.onto.correction.nominal
+        nominal = mechanism_placed_as_calibrated(require_axes(design.mechanism), known, design.instrument)
         if mechanism_dict(known) != mechanism_dict(nominal):
             raise RigError(f"{self.name} is for another machine than this recording's rig.toml")
         if self.onto.physics is not None:

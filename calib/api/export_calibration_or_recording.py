@@ -56,7 +56,7 @@ class ExportOptions:
     : of linuxcnc-comp and grid, parts of each actuator's interval, None for 64, and 3; poses : of lut, the table of
     wanted poses; over : of lut, {sensor channel: its values, ascending}; zero : of grblhal-kins, m, lengths of the
     struts where the motors count 0, one or six, () for those of the home pose; uncertainty : of lut, {"position": m or
-    "rotation": rad} standard uncertainties for which visits are counted
+    "rotation": rad} standard uncertainties for which poses are counted
     """
 
     units: str = "mm"
@@ -106,7 +106,7 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     Raises RigError for a machine that this format cannot state, and for options out of range
     """
     if options.uncertainty and kind != LOOKUP:
-        raise RigError(f"--uncertainty counts visits for a table of --format lut; --format {kind} takes none")
+        raise RigError(f"--uncertainty counts poses for a table of --format lut; --format {kind} takes none")
     if options.zero and kind != "grblhal-kins":
         raise RigError(f"--zero states where motors of grblhal-kins count 0; --format {kind} takes none")
     if kind in TABLES:
@@ -131,7 +131,7 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
         if options.poses is None:
             raise RigError("lut takes the wanted poses, as --poses FILE")
         table = correction_lookup_table(calibration_file.load(machine), load_wanted_poses(options.poses), options.over)
-        wanted = [table.visits_for(kind, size) for kind, size in options.uncertainty.items()]
+        wanted = [table.poses_for(kind, size) for kind, size in options.uncertainty.items()]
         return ExportResult({"": table.csv}, "; ".join([str(table), *wanted]))
     if kind in CAMERAS:
         return _cameras(machine, kind)

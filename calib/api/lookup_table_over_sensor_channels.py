@@ -1,7 +1,7 @@
 """Lookup table of corrected commands over sensor channels.
 
-Commands of wanted poses at every combination of values, with the covariance of the poses, and how many visits of
-configurations a wanted uncertainty takes.
+Commands of wanted poses at every combination of values, with the covariance of the poses, and how many poses a wanted
+uncertainty takes.
 """
 
 import math
@@ -24,7 +24,7 @@ from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 PARTS = ("position", "rotation")
 UNITS = dict(zip(PARTS, ("m", "rad")))
 LARGEST = 100_000  # rows
-ROUNDING = 1e-6  # of a visit
+ROUNDING = 1e-6  # of a pose
 Point = tuple[float, ...]  # a value of each channel
 
 
@@ -36,7 +36,7 @@ class LookupTable:
     interpolation_error : m or rad, greatest of the commands in the middle between rows, interpolated linearly
     uncertainty : (m, rad) standard uncertainty of the poses, RMS; unchanging : (m, rad), that part of it which stays
     when the fitted numbers are known exactly; unlogged : (m, rad), the same without scatter: of channels that nobody
-    logged, and of what axes remember; visits : configurations that were fitted
+    logged, and of what axes remember; poses : how many were fitted
     unit : of the commands
     """
 
@@ -47,7 +47,7 @@ class LookupTable:
     uncertainty: tuple[float, float]
     unchanging: tuple[float, float]
     unlogged: tuple[float, float]
-    visits: int
+    poses: int
     unit: str
 
     @property
@@ -68,30 +68,30 @@ class LookupTable:
             f"of the poses of {quantity_text(self.uncertainty[0], 'm')} and {quantity_text(self.uncertainty[1], 'rad')}"
         )
 
-    def visits_for(self, kind: str, wanted: float) -> str:
-        """Sentence on how many visits a standard uncertainty takes, RMS over the table, spread as those fitted.
+    def poses_for(self, kind: str, wanted: float) -> str:
+        """Sentence on how many poses a standard uncertainty takes, RMS over the table, spread as those fitted.
 
         kind : "position" or "rotation"; wanted : m or rad. What the fitted numbers leave uncertain falls with the
-        number of visits, in its square. Scatter may be what so few visits leave open, and fall too, or be the
+        number of poses, in its square. Scatter may be what so few poses leave open, and fall too, or be the
         machine's own, and stay
         """
         k, unit = PARTS.index(kind), UNITS[kind]
         text = f"{quantity_text(wanted, unit)} of {kind}"
-        least, most = (self._visits(k, wanted, rest[k]) for rest in (self.unlogged, self.unchanging))
+        least, most = (self._poses(k, wanted, rest[k]) for rest in (self.unlogged, self.unchanging))
         if least is None:
             rest = quantity_text(self.unlogged[k], unit)
-            return f"no number of visits gives {text}: {rest} come of what was not logged or of what axes remember"
-        spread = f"spread as the {self.visits} that were fitted"
+            return f"no number of poses gives {text}: {rest} come of what was not logged or of what axes remember"
+        spread = f"spread as the {self.poses} that were fitted"
         if most is None:
             rest = quantity_text(self.unchanging[k], unit)
-            return f"{text} takes at least {least} visits, {spread}, and none suffice where the scatter of {rest} stays"
-        return f"{text} takes {least if least == most else f'{least} to {most}'} visits, {spread}"
+            return f"{text} takes at least {least} poses, {spread}, and none suffice where the scatter of {rest} stays"
+        return f"{text} takes {least if least == most else f'{least} to {most}'} poses, {spread}"
 
-    def _visits(self, k: int, wanted: float, rest: float) -> int | None:
-        """Visits for a wanted uncertainty of a part of poses, where `rest` stays; None where no number suffices."""
+    def _poses(self, k: int, wanted: float, rest: float) -> int | None:
+        """Poses for a wanted uncertainty of a part of poses, where `rest` stays; None where no number suffices."""
         if wanted <= rest:
             return None
-        return math.ceil(self.visits * (self.uncertainty[k] ** 2 - rest**2) / (wanted**2 - rest**2) - ROUNDING)
+        return math.ceil(self.poses * (self.uncertainty[k] ** 2 - rest**2) / (wanted**2 - rest**2) - ROUNDING)
 
 
 def correction_lookup_table(

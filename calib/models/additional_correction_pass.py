@@ -84,6 +84,17 @@ class CorrectionPass(NamedTuple):
     poses: SpacePart | None = None
 
 
+def mechanism_placed_as_calibrated(mechanism: Commanded, known: Commanded, instrument: Instrument | None) -> Commanded:
+    """A stated mechanism; of an arm, the ends that are stated free stand where a calibration has them.
+
+    known : the nominal mechanism of the calibration
+    """
+    if instrument is None or not (isinstance(mechanism, Arm) and isinstance(known, Arm)):
+        return mechanism
+    base, tool = instrument.base == "free", instrument.tool == "free"
+    return mechanism.with_ends(known.base if base else None, known.tool if tool else None)
+
+
 def samples_in_frames_of_calibration(
     calibration: Calibration, instrument: Instrument | None, samples: Samples
 ) -> PlacedSamples:

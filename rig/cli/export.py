@@ -102,7 +102,7 @@ def arguments(parser: ArgumentParser) -> None:
         nargs="+",
         default=[],
         type=parse_tolerance,
-        help="of lut: state how many visits a calibration takes for this standard uncertainty of poses, RMS over the "
+        help="of lut: state how many poses a calibration takes for this standard uncertainty of poses, RMS over the "
         "table, of position, of rotation (0.1mrad, 20arcsec) or of both",
     )
     parser.add_argument(

@@ -136,7 +136,7 @@ def test_a_lookup_table_holds_between_its_rows_to_what_it_states(tmp_path, capsy
 
 
 @pytest.mark.slow
-def test_visits_that_a_lookup_table_asks_for_give_its_uncertainty(tmp_path):
+def test_poses_that_a_lookup_table_asks_for_give_its_uncertainty(tmp_path):
     case, channels = tilting(4, 90.0), {"elevation_deg": [0.0, 45.0, 90.0]}
     write_wanted(wanted(case, 12), tmp_path / "wanted.csv")
     goals, tables = load_wanted_poses(tmp_path / "wanted.csv"), []
@@ -149,10 +149,10 @@ def test_visits_that_a_lookup_table_asks_for_give_its_uncertainty(tmp_path):
         tables.append(correction_lookup_table(calibration, goals, channels))
     first, more = tables
     for k, kind in enumerate(("position", "rotation")):
-        text = first.visits_for(kind, more.uncertainty[k])
+        text = first.poses_for(kind, more.uncertainty[k])
         print(f"{first.uncertainty[k] * 1e6:.3f} from 60, {more.uncertainty[k] * 1e6:.3f} from 180: {text}")
-        least, most = re.search(r"takes (?:at least )?(\d+)(?: to (\d+))? visits", text).groups()
-        assert 180 / 2 < int(least) < 2 * 180 and (most is None or int(most) > 180)  # few visits overstate scatter
+        least, most = re.search(r"takes (?:at least )?(\d+)(?: to (\d+))? poses", text).groups()
+        assert 180 / 2 < int(least) < 2 * 180 and (most is None or int(most) > 180)  # few poses overstate scatter
 
 
 @dataclass(frozen=True)
