@@ -312,7 +312,7 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     Raises RigError for an effect that neither the rig of the sketches nor its camera can have
     """
     if kind.stage in MOTION_STAGES:
-        return sketches.draw_sketch(kind, factor)
+        return (sketches.draw_arm_sketch if kind.of_links else sketches.draw_sketch)(kind, factor)
     run = example_run_with_effect(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
     true, found = (_seen(effects, run.t, run.sensors) for effects in ([], [run.effect]))
     by = found[-1] - true[-1]

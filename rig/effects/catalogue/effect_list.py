@@ -32,6 +32,7 @@ from rig.effects.catalogue.hysteresis import Hysteresis
 from rig.effects.catalogue.joint_clearance import JointClearance
 from rig.effects.catalogue.joint_offset import JointOffset
 from rig.effects.catalogue.lens_distortion import LensDistortion
+from rig.effects.catalogue.link_bending import LinkBending
 from rig.effects.catalogue.marker_flatness import MarkerFlatness
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.effects.catalogue.missed_steps import MissedSteps
@@ -91,6 +92,7 @@ ALL: tuple[type[Effect], ...] = (
     MarkerFlatness,
     EncoderInterpolation,
     BaseLean,
+    LinkBending,
 )
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}
 
@@ -278,7 +280,9 @@ A sketch is drawn by the effect's own model, as large as rigs show at the most. 
 hexapod of 0.3 m radius:
 strut 3 goes to and fro, farther every time, and rests in between, the other struts swing, all warms by 20 K, and \
 halfway a payload is put on
-that makes struts pull. Grey is what was commanded, orange what is done, with errors enlarged; below, the error over \
+that makes struts pull. What acts on links does so on a UR10 that holds 10 kg, its joints \
+swinging.
+Grey is what was commanded, orange what is done, with errors enlarged; below, the error over \
 what gives the effect away, as a diagnosis draws residuals. What a camera sees is drawn over its whole image, at the \
 end of the time below it: grey the markers as stated, orange
 as seen, near ones (large) and farther ones, a stroke at each marker's first corner.
@@ -305,7 +309,7 @@ def _effect_markdown(effect: type[Effect], sketch: str = "") -> str:
     rows = [_parameter_markdown_row(p, effect) for p in effect.parameters]
     return (
         f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
-        f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
+        f"Sits at: {', '.join(_place(kind, effect.of_links) for kind in effect.places)}.\n\n"
         + (f"{sketch}\n\n" if sketch else "")
         + "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n"
         + "\n".join(rows)
@@ -325,9 +329,9 @@ def _parameter_markdown_row(p: Parameter, effect: type[Effect]) -> str:
     return f"| {name} | {p.unit} | {usual} | {bounds} | {turned} |"
 
 
-def _place(kind: str) -> str:
+def _place(kind: str, of_links: bool) -> str:
     return {
-        "axis": "`strut N` or `joint N`",
+        "axis": "`joint N` or `slide N`, the link that it moves" if of_links else "`strut N` or `joint N`",
         "camera": "`camera NAME`",
         "marker": "`marker ID`",
         "target": "`target NAME`",

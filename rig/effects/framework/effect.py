@@ -80,7 +80,7 @@ class Effect:
     """Base of all effects.
 
     places : kinds of place it can sit at ("axis": a strut or a joint); experiment : what would expose it
-    joint_experiment : the same of a joint, if another; action : what an owner can do about it, with "{axis}" too
+    joint_experiment : of a joint, if another; action : what an owner can do, with "{axis}" too; of_links : of an arm's
     on_pose : its deviation depends on the pose; sudden : it happens at one time; rolls : image rows exposed in turn
     discrete : found from corners set aside, not by its derivative; moving : shows only in exposures on the way
     form : what the model is a function of, if simple: own travel ("slope", "sinusoid", "profile"), "load" or "step"
@@ -110,6 +110,7 @@ class Effect:
     once: ClassVar[bool] = False
     lasting: ClassVar[bool] = True
     instrumented: ClassVar[bool] = False
+    of_links: ClassVar[bool] = False
     tolerance: ClassVar[Tolerance | tuple[float, float] | None] = None
     cardans: ClassVar[tuple[str, ...]] = ()
     whole_turns: ClassVar[bool] = False

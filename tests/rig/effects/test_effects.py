@@ -11,8 +11,11 @@ from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
 from rig.model import motion_simulation
+from rig.model.design import Arm
+from rig.model.mechanisms import arm as kinematics
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
+from tests.rig.arms import UR10
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 PLACES = {
@@ -25,7 +28,7 @@ PLACES = {
     "markers": "markers",
     "target": "target P2",
 }
-EVERYWHERE = [(kind, PLACES[place]) for kind in ALL for place in kind.places]
+EVERYWHERE = [(kind, "joint 2" if kind.of_links else PLACES[place]) for kind in ALL for place in kind.places]
 SOME = {  # one instance of each, of a size that rigs show
     "scale_error": "strut3:scale=2e-4",
     "cyclic_error": "strut3:amplitude=1e-5,phase=0.3",
@@ -63,7 +66,24 @@ SOME = {  # one instance of each, of a size that rigs show
     "marker_flatness": "4:height=5e-4,corner=2",
     "encoder_interpolation": "strut3:amplitude=4e-6,periods=3003,phase=0.4",
     "base_lean": "rig:compliance=2e-5,depth=0.4",
+    "link_bending": "joint2:stiffness=2e4",
 }
+
+
+def setting_with_links(setting):
+    """The setting with an arm that holds the platform where the hexapod has it at home, and moves it little."""
+    design, commands, t, sensors = setting
+    middle = np.array([[0.0, -1.0, 1.2, -1.6, -1.57, 0.0]])
+    arm = Arm(UR10.joints, UR10.limits)
+    arm = replace(arm, base=design.mechanism.home * kinematics.forward(middle, arm)[0].inv())
+    swings = 0.1 * (commands.values - commands.values.mean(axis=0)) / np.ptp(commands.values, axis=0)
+    return replace(design, mechanism=arm), Commands(commands.t, middle + swings), t, sensors
+
+
+@pytest.fixture
+def setting_of(setting):
+    """An effect, or its class -> a setting of a machine that can have it."""
+    return lambda effect: setting_with_links(setting) if effect.of_links else setting
 
 
 def corners(setting, effects):
@@ -100,21 +120,23 @@ def test_the_catalogue_is_whole():
 
 
 @pytest.mark.parametrize("kind, place", EVERYWHERE, ids=[f"{kind.name} at {place}" for kind, place in EVERYWHERE])
-def test_zero_parameters_change_nothing(setting, kind, place):
+def test_zero_parameters_change_nothing(setting_of, kind, place):
+    setting = setting_of(kind)
     np.testing.assert_allclose(
         corners(setting, [check_effect_place_and_parameter_bounds(kind(place))]), corners(setting, []), atol=1e-9
     )
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_some_of_it_changes_something_finite_and_keeps_shapes(setting, name):
+def test_some_of_it_changes_something_finite_and_keeps_shapes(setting_of, name):
+    setting = setting_of(BY_NAME[name])
     clean, with_it = corners(setting, []), corners(setting, [parse_effect(f"{name}:{SOME[name]}")])
     assert with_it.shape == clean.shape and np.isfinite(with_it).all() and np.abs(with_it - clean).max() > 1e-4
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_halving_the_step_of_the_history_changes_nothing(setting, name):
-    design, commands, t, sensors = setting
+def test_halving_the_step_of_the_history_changes_nothing(setting_of, name):
+    design, commands, t, sensors = setting_of(BY_NAME[name])
     effect = parse_effect(f"{name}:{SOME[name]}")
     halves = (commands.t[1:] + commands.t[:-1]) / 2
     finer = np.sort(np.r_[commands.t, halves])

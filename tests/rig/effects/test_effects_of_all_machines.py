@@ -29,6 +29,7 @@ ALONE = {
     "base_expansion": {"hexapod", "planar2"},
     "joint_offset": {"hexapod"},
     "encoder_interpolation": {"hexapod", "planar2"},
+    "link_bending": {"arm"},
 }  # where not all mechanisms can have them
 
 

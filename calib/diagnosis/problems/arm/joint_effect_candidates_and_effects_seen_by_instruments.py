@@ -62,7 +62,6 @@ SIMPLICITY = {
 }  # of what depends on the axis alone, as effects state it
 MOST = 200  # nodes of a candidate whose weights are kept
 POSES_ALONE = "for an arm or a chain, the measured poses are searched, not the corners behind them"
-MOVES_A_HAND = "what moves a hand beyond its joints is not searched for with several hands"
 NO_CORNERS = "there are no corners"
 SPAN = "span"  # in a profile's node: (low, high) rad
 
@@ -136,8 +135,6 @@ def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[l
         if kind.discrete or kind.stage in ("targets", "view"):
             raise RigError(POSES_ALONE if arms.context.design.cameras else NO_CORNERS)
         found = kind.sites(arms.context)
-        if arms.hand is not None and kind.sway is not Effect.sway and found:
-            return EffectSites(None, (), [NotTested(kind.name, MOVES_A_HAND)])
         lacking = _lacking(kind, found, arms)
         if found and any(p.role == "frequency" for p in kind.parameters):
             reason = f"{kind.name}: the poses of an arm are not searched for a frequency"
@@ -191,7 +188,8 @@ def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCan
 def joint_candidate(effect_candidates: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
     """JointCandidate of one effect at one place, from its EffectCandidates, one for each number of columns."""
     first, places = effect_candidates[0], arms.context.moved().places
-    joint = places.index(first.place) if first.place in places else None
+    sways = first.kind.sway is not Effect.sway
+    joint = places.index(first.place) if first.place in places and not sways else None
     form = Form.STEP if first.kind.form == "step" else SIMPLICITY.get(first.kind.own_axis, Form.OTHER)
     positive = len(first.linear) < 2 and min((low for low, _ in _bounds(first)), default=0.0) >= 0
     grid = [node for spec in effect_candidates for node in spec.grid]
@@ -241,10 +239,7 @@ def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -
         return np.einsum("nkj,njq->nkq", arms.joints, _retimed(spec, node, arms))
     if joint is None:
         units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
-        moved = [
-            arms.measured(spec.effect(node, unit).sway(motion)) / column.step
-            for unit, column in zip(units, spec.linear)
-        ]
+        moved = [arms.displaced(spec.effect(node, unit)) / column.step for unit, column in zip(units, spec.linear)]
         return np.stack(moved, axis=-1)
     out = (_retimed(spec, node, arms) if spec.kind.retimes() else spec.deviation(node, motion))[
         :, joint

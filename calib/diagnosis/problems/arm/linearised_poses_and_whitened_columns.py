@@ -101,6 +101,13 @@ class Arms:
         arm = require_arm(self.context.design.mechanism)
         return observation_jacobian(kind, tangents[..., None], self.q, arm, self.hand)[..., 0]
 
+    def displaced(self, effect: Effect) -> Floats:
+        """(n, k) by which an effect, of joints or beyond them, changes what is measured of each hand."""
+        motion = self.context.moved()
+        run = (self.context.design, self.commands, self.t, motion.posed(), (effect,), self.context.sensors)
+        values, sway = motion_simulation.effective_commands_and_sway(*run, self.hand)
+        return (self.joints @ (values - self.q)[..., None])[..., 0] + self.measured(sway)
+
     def reached(self, effect: Effect) -> Floats:
         """(n, joints) rad, commands reached at the exposures under an effect of clock or path."""
         return motion_simulation.motion_of_commands(

@@ -32,13 +32,13 @@ def candidates_compatible_with_terms(fit: Fit, candidates: list[JointCandidate])
 
     Neither repeated nor contained in a profile.
     """
-    has = {(t.candidate.name, t.candidate.joint) for t in fit.terms if t.candidate.kind.once}
+    has = {(t.candidate.name, t.candidate.place) for t in fit.terms if t.candidate.kind.once}
     profiles = {c.joint: c for c in candidates if c.form is Form.PROFILE}
     profiled = {t.candidate.joint for t in fit.terms if t.candidate.form is Form.PROFILE}
     cycles = [t for t in fit.terms if t.candidate.form is Form.SINUSOID]
     out = []
     for candidate in candidates:
-        if (candidate.name, candidate.joint) in has or (candidate.form is Form.SLOPE and candidate.joint in profiled):
+        if (candidate.name, candidate.place) in has or (candidate.form is Form.SLOPE and candidate.joint in profiled):
             continue
         if candidate.form is Form.SINUSOID and candidate.joint in profiled:
             finest = _resolved_order(profiles[candidate.joint], fit) if candidate.joint in profiles else 0.0
