@@ -90,11 +90,9 @@ def draw_arm_case(
     effects : names of the catalogue's to use
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
-    catalogue = [
-        e
-        for e in ALL
-        if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving
-    ]
+    at_joints = [e for e in ALL if "axis" in e.places and e.stage in MOTION_STAGES and not e.moving]
+    # what bends links takes a load that these arms' owners do not state
+    catalogue = [e for e in at_joints if not e.of_links and (not effects or e.name in effects)]
     if not catalogue:
         raise RigError(f"--effects: none of {', '.join(effects)} is observable in poses of an arm at rest")
     kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))

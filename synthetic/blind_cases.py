@@ -213,7 +213,7 @@ def draw_case(
     effects : names of the catalogue's to use
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
-    every = [e for e in ALL if not e.instrumented]
+    every = [e for e in ALL if not (e.instrumented or e.of_links)]
     catalogue = [e for e in every if e.name in effects] or every
     catalogue = (renderable_effects(catalogue) or renderable_effects(every)) if images else catalogue
     kind, numbers, rng = schedule_effects(seed, index, kinds, len(catalogue))
