@@ -125,21 +125,22 @@ def test_a_link_without_a_length_or_a_load_is_refused():
         simulated(arm, q, ["link_bending:joint2:stiffness=2e4"], Platform(None, None, None))
 
 
-HIDDEN = [
-    ({2: BEAM}, {}),
-    ({2: OPEN}, {}),
-    ({4: BEAM}, {}),
-    ({}, {2: SPRING}),
-    ({}, {3: SPRING}),
-    ({2: BEAM}, {2: SPRING}),
-    ({2: BEAM}, {3: SPRING}),
+HIDDEN = [  # seed, beams, springs
+    (2, {2: BEAM}, {}),
+    (2, {2: OPEN}, {}),
+    (2, {4: BEAM}, {}),
+    (2, {}, {2: SPRING}),
+    (2, {}, {3: SPRING}),
+    (2, {2: BEAM}, {2: SPRING}),
+    (2, {2: BEAM}, {3: SPRING}),
+    (4, {2: BEAM, 4: BEAM}, {2: SPRING, 3: SPRING}),  # one by one, link 1 is admitted in place of others
 ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("beams", "springs"), HIDDEN)
-def test_a_bending_link_and_a_yielding_joint_are_told_apart(tmp_path, beams, springs):
-    report = diagnose(Tracked(2, beams, springs).recorded(tmp_path / "REC")).report
+@pytest.mark.parametrize(("seed", "beams", "springs"), HIDDEN)
+def test_a_bending_link_and_a_yielding_joint_are_told_apart(tmp_path, seed, beams, springs):
+    report = diagnose(Tracked(seed, beams, springs).recorded(tmp_path / "REC")).report
     hidden = {("link_bending", f"joint {joint}"): stiffness for joint, (stiffness, _) in beams.items()}
     hidden |= {("compliance", f"joint {joint}"): stiffness for joint, stiffness in springs.items()}
     assert {(one.effect, one.place) for one in report.findings} == set(hidden)
@@ -147,7 +148,7 @@ def test_a_bending_link_and_a_yielding_joint_are_told_apart(tmp_path, beams, spr
         value = one.parameters["stiffness"]
         low, high = value.ci95
         assert low - (high - low) / 2 <= hidden[one.effect, one.place] <= high + (high - low) / 2
-        assert high - low < 0.1 * value.value and not one.cannot_be_told_from
+        assert high - low < 0.15 * value.value and not one.cannot_be_told_from
     assert report.unexplained is None
 
 
@@ -162,7 +163,7 @@ def test_a_link_that_bends_less_than_the_noise_is_one_of_those_stated(tmp_path, 
 
 @pytest.mark.slow
 def test_what_bends_is_made_up_for(tmp_path):
-    tracked = Tracked(4, {2: BEAM, 4: OPEN}, {3: SPRING})
+    tracked = Tracked(4, {2: BEAM, 4: BEAM}, {3: SPRING})
     recording = tracked.recorded(tmp_path / "REC")
     (tmp_path / "found").mkdir()
     diagnose(recording).write(tmp_path / "found")

@@ -22,7 +22,7 @@ from rig.recording.recording_folder import Commands, Recording
 from tests.rig.effects.test_effects_of_all_machines import MOVING, context_of, setting_of
 
 OWN_CLOCK = ("moment", "phase")  # roles of parameters that are told by one recording's clock
-BOTH = [k for k in MOVING if not k.instrumented and not any(p.role in OWN_CLOCK for p in k.parameters)]
+BOTH = [k for k in MOVING if not (k.instrumented or k.of_links) and not any(p.role in OWN_CLOCK for p in k.parameters)]
 REMEMBER = (
     "backlash:strut 6:gap=1e-4",
     "creep:rig:fraction=5e-3,time_constant=600",

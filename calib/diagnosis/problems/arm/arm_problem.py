@@ -31,6 +31,7 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     JointScore,
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry
+from calib.diagnosis.problems.arm.load_term_reselection import fit_with_load_terms_chosen_anew
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     FINE,
     QUICK,
@@ -150,6 +151,8 @@ class ArmProblem:
     def simplify_terms(self, now: Fit) -> Fit:
         now = merge_sinusoids_into_profiles(now, self.candidates, self.train, self.policy, self.given)
         now = remove_redundant_terms(self, simplify_profiles(now, self.candidates, self.train, self.policy, self.given))
+        anew = fit_with_load_terms_chosen_anew(self, now, self.candidates, self.train, self.given)
+        now = now if anew is now else remove_redundant_terms(self, self.refine_terms(anew))
         now = optimise_terms(now, [term for term in now.terms if has_continuous_parameters(term)])
         return fit_terms_to_poses(self.arms, now.terms, self.train, now.weighing)
 
