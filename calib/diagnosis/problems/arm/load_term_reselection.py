@@ -24,8 +24,8 @@ def fit_with_load_terms_chosen_anew(
     train: Booleans | None,
     stated_terms: StatedTerms,
 ) -> Fit:
-    """The Fit with its load terms chosen by leaving out, from those at all joints and links, where that clearly explains
-    more.
+    """The Fit with its load terms chosen by elimination, from those at all joints and links, where that clearly
+    explains more.
 
     Only where loads are stated, so that links may bend. train : (n,) bool, or None for all
     """
