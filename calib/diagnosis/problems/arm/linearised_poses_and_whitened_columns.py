@@ -31,6 +31,7 @@ from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanisms import arm as mechanism_arm
 from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm, require_chain
 from rig.model.pose import pose_difference
@@ -214,7 +215,9 @@ def linearise_planned_poses(
         design=design,
         t=t,
         sensors=sensors,
-        motion=motion_simulation.motion_of_commands(design, commands, t, (), sensors),
+        motion=motion_simulation.motion_of_commands(
+            design, commands, t, (), sensors, mechanism_arm.forward(q, geometry.mechanism)
+        ),
     )
     if view is None:
         own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
