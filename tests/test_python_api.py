@@ -38,7 +38,7 @@ CALLS = {
     "limbs closures": "calib.api.loop_closure_check_of_redundant_legs:close_loops",
     "workspace": "calib.api.workspace_change_by_calibration:analyse_workspace",
     "export": "calib.api.export_calibration_or_recording:export",
-    "arm kinematics": "calib.api.arm_kinematics:load_arm_kinematics",
+    "arm kinematics": "calib.api.arm_kinematics:load_kinematics",
     "arm posture": "rig.posture.best_posture:best_posture",
     "arm wrench": "rig.posture.external_wrench_from_torque_table:measure_wrench",
     "simulate blind": "synthetic.blind_campaign:Campaign",

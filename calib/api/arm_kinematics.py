@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.api.platform_kinematics import PlatformKinematics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from rig.array_and_json_types import Floats, Integers, Json
@@ -20,7 +21,8 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import KinematicsStep
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
+from rig.model.mechanisms.forward_solution_steps import forward_solution_steps
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel, require_arm
 from rig.model.pose import pose_to_vector
 from rig.planning.layout import shipped_arms_and_layouts
 
@@ -38,11 +40,19 @@ class ArmKinematics:
     left_out: str | None = None
     spacing: float = 1.0
 
-    def forward(self, frames: Integers, q: Floats, steps: bool = False) -> Json:
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the joints, as a table of values heads its columns."""
+        return self.arm.axes
+
+    def forward(self, frames: Integers, q: Floats, steps: bool = False, trace: bool = False) -> Json:
         """Poses that joint values q (n, joints) rad or m give, as `rig arm kinematics --forward --json` prints them.
 
         frames : (n,) their numbers; steps : whether points and vectors after each joint are given
+        Raises RigError for a trace of iterations, of which an arm has none
         """
+        if trace:
+            forward_solution_steps(q[0], self.arm)
         arm, correction = self.arm, self.correction
         T = mechanism.forward(q, arm)
         beyond = mechanism.signed_limit_excess(q, arm)
@@ -100,14 +110,17 @@ class ArmKinematics:
         }
 
 
-def load_arm_kinematics(text: str) -> ArmKinematics:
-    """Load ArmKinematics by a text.
+def load_kinematics(text: str) -> ArmKinematics | PlatformKinematics:
+    """Load ArmKinematics, or PlatformKinematics of a platform on struts or of a kinematics file, by a text.
 
     Path of a rig.toml or calibration.json, or a shipped arm's name.
     Raises RigError for other kinds
     """
     if Path(text).suffix != ".json":
-        arm = require_arm(shipped_arms_and_layouts.load_shipped_arm_design(text).mechanism)
+        machine = shipped_arms_and_layouts.load_shipped_arm_design(text).mechanism
+        if is_parallel(machine):
+            return PlatformKinematics(machine)
+        arm = require_arm(machine)
         require_one_hand(arm, "kinematics is printed")
         return ArmKinematics(arm)
     calibration = calibration_file.load(text)
@@ -115,9 +128,12 @@ def load_arm_kinematics(text: str) -> ArmKinematics:
     if calibration.physics is not None and calibration.physics.compensable_effects():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.compensable_effects())
         left_out = f"{text} undoes {names} as well, by the preceding motion: not included below; rig correct does it"
-    if not isinstance(correction, ArmCorrection):
-        raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")
-    return ArmKinematics(correction.nominal, correction, left_out)
+    nominal = correction.nominal
+    if isinstance(correction, ArmCorrection):
+        return ArmKinematics(correction.nominal, correction, left_out)
+    if is_parallel(nominal):
+        return PlatformKinematics(nominal, correction, left_out)
+    raise RigError(f"{text} is the calibration of a {nominal.kind}; this takes an arm's or a platform's")
 
 
 def _near_singular(q: Floats, arm: Arm) -> float:

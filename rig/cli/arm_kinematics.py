@@ -1,4 +1,4 @@
-"""rig arm kinematics: forward and inverse kinematics of an arm.
+"""rig arm kinematics: forward and inverse kinematics of an arm, or of a platform.
 
 All solutions, step by step on request.
 """
@@ -22,7 +22,10 @@ LEAVES = 1e-9  # m or rad of a pose, from which it is said
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig arm kinematics` to a parser."""
     parser.add_argument(
-        "arm", metavar="ARM", help="a rig.toml with an arm, an arm's calibration.json, or the name of a shipped one"
+        "arm",
+        metavar="MACHINE",
+        help="a rig.toml with an arm, a platform on struts or a kinematics file; its calibration.json; or a shipped arm's "
+        "name",
     )
     direction = parser.add_mutually_exclusive_group(required=True)
     direction.add_argument("--forward", metavar="FILE", type=Path, help="frame,q1..qn (rad, of slides m) -> poses")
@@ -38,28 +41,35 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="100mm",
         help="of --steps: how far B and C lie from A, along z and y of the hand at zero (default 1 m)",
     )
+    parser.add_argument(
+        "--trace",
+        action="store_true",
+        help="of --forward for platforms: each iteration's matrix B, step x and what it moved",
+    )
     add_json_option(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Run `rig arm kinematics`.
 
-    Print forward or inverse kinematics of an arm.
+    Print forward or inverse kinematics of an arm or a platform.
     """
-    from calib.api.arm_kinematics import load_arm_kinematics
+    from calib.api.arm_kinematics import ArmKinematics, load_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
     from rig.recording import recording_tables
 
     if arguments.spacing is not None and not arguments.steps:
         raise RigError("--spacing places the points that --steps prints; give --steps as well")
-    machine = load_arm_kinematics(arguments.arm)
-    if arguments.spacing is not None:
+    if arguments.trace and arguments.inverse:
+        raise RigError("--trace prints the iterations of --forward; --inverse has none that are printed")
+    machine = load_kinematics(arguments.arm)
+    if arguments.spacing is not None and isinstance(machine, ArmKinematics):
         machine = replace(machine, spacing=arguments.spacing)
     if machine.left_out is not None:
         print(machine.left_out, file=sys.stderr)
     if arguments.forward:
-        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *machine.arm.axes))
-        tree = machine.forward(rows.whole("frame"), rows.matrix(machine.arm.axes), arguments.steps)
+        rows = csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *machine.axes))
+        tree = machine.forward(rows.whole("frame"), rows.matrix(machine.axes), arguments.steps, arguments.trace)
     else:
         poses = recording_tables.load_poses(arguments.inverse)
         tree = machine.inverse(poses.frame, poses.T_base_platform, arguments.steps)
@@ -75,6 +85,10 @@ def _forward_text(tree: Json) -> list[str]:
 
     lines = []
     for entry in tree["frames"]:
+        if entry["pose"] is None:
+            lines.append(f"frame {entry['frame']}: {_joints(entry['q'], tree['units'])}: {entry['refused']}")
+            lines += _trace_text(entry, tree["units"])
+            continue
         near = (
             "singular"
             if entry["near_singular"] < SINGULAR
@@ -87,16 +101,38 @@ def _forward_text(tree: Json) -> list[str]:
         if "corrected" in entry:
             lines.append(f"  as calibrated {_pose(entry['corrected'])}")
         lines += _steps_text(entry.get("steps", []), tree["units"], "at zero", ("turned about", "moved along"))
+        lines += _trace_text(entry, tree["units"])
+    return lines
+
+
+def _trace_text(entry: Json, units: list[str]) -> list[str]:
+    """Lines of the iterations of a forward solution: B x = b, and what x moves. units : of each axis"""
+    lines, known = [], None
+    for one in entry.get("trace", []):
+        off = ", ".join("no value" if b is None else _measure(b, unit) for b, unit in zip(one["b"], units))
+        rows = [" ".join(f"{'none':>10}" if v is None else f"{v:10.6f}" for v in row) for row in one["B"]]
+        lines += [f"  iteration {one['iteration']}: from {_pose(one['pose'])}", f"    b, by which the axes miss: {off}"]
+        if rows == known:
+            lines.append("    B as before")
+        else:
+            along = f"columns {' '.join(entry['unknowns'])} along the axes of the {entry['along']}"
+            lines += [f"    B, {' and '.join(dict.fromkeys(units))} by m and rad; {along}:"]
+            lines += [f"      {row}" for row in rows]
+        known = rows
+        moved = zip(entry["unknowns"], one["x"])
+        x = ", ".join(f"{name} {_measure(v, 'rad' if name.startswith('r') else 'm')}" for name, v in moved)
+        lines.append(f"    x, which moves the platform: {x}")
+    if "trace" in entry:
+        end = "no pose was found" if entry["pose"] is None else f"settled at {_pose(entry['pose'])}"
+        lines.append(f"  {len(entry['trace'])} iterations; {end}")
     return lines
 
 
 def _inverse_text(tree: Json) -> list[str]:
     """Lines of `--inverse`, lengths in mm and angles in degrees."""
-    numeric = tree["form"].startswith("numeric")
-    lines = [
-        f"joint solutions: {tree['form']}"
-        + ("; found numerically from many starts" if numeric else ", all branches in closed form")
-    ]
+    numeric, arm = tree["form"].startswith("numeric"), not tree["form"].startswith("each axis")
+    branches = "; found numerically from many starts" if numeric else ", all branches in closed form"
+    lines = [f"joint solutions: {tree['form']}{branches if arm else ''}"]
     start = "the hand of the pose" if numeric else "A at the crossing of axes 5 and 6"
     methods = (
         ("found numerically, turned back about", "found numerically, moved back along")
@@ -145,6 +181,10 @@ def _steps_text(steps: list[Json], units: list[str], first: str, done: tuple[str
         points = "  ".join(f"{name} {_three(point, 1e3)} mm" for name, point in s["points"].items())
         lines += [f"     {head}", f"       {points}  AB {_three(s['AB'], 1)}  AC {_three(s['AC'], 1)}"]
     return lines
+
+
+def _measure(value: float, unit: str) -> str:
+    return f"{value * 1e3:.6g} m{unit}"
 
 
 def _three(values: list[float], scale: float) -> str:

@@ -60,8 +60,7 @@ GROUPS = {
         "emulate": "An emulated controller, at a pseudo-terminal or over TCP, with faults on request.",
     },
     "tools": {
-        "arm kinematics": "An arm's poses of joint values, or all joint values of poses, step by step in one global "
-        "frame.",
+        "arm kinematics": "An arm's or a platform's poses of axis values, or all axis values of poses, step by step.",
         "arm posture": "A redundant arm's posture for sensing or exerting force, with the hand fixed.",
         "arm wrench": "The wrench on an arm's hand, from its joints' torques or motor currents: force and moment with "
         "covariance.",

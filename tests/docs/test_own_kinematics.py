@@ -18,13 +18,15 @@ def test_the_page_shows_the_example():
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     for end in ("py", "toml"):
         shutil.copy(EXAMPLES / f"delta.{end}", tmp_path)
+    (tmp_path / "values.csv").write_text("frame,q1,q2,q3\n0,0.36,0.33,0.34\n")
     (tmp_path / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0.01,0.02,0.1,0,0,0\n1,-0.02,0,0.08,0,0,0.001\n")
     monkeypatch.chdir(tmp_path)
     lines = [line.split()[1:] for line in PAGE.read_text().splitlines() if line.startswith("    rig ")]
-    assert len(lines) == 7
+    assert len(lines) == 8
     output = ""
     for words in lines:
         done = run(*words)
         output += done.stdout + done.stderr
     assert "2 of 2 poses written" in output and "a machine of 3 axes cannot compensate every error" in output
+    assert "8 iterations; settled at position (9.5981, 29.0407, 85.6340) mm" in output
     assert (tmp_path / "REC" / "delta.py").read_text() == (EXAMPLES / "delta.py").read_text()

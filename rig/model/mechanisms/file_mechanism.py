@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import FileMechanism
+from rig.model.mechanisms.hexapod_newton import Observe
 from rig.model.user_kinematics_file import (
     KinematicsFile,
     axis_change_columns_by_freedom,
@@ -79,16 +80,26 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
     start = mechanism.stated.home if guess is None else guess.as_matrix()
     if start.ndim > 2:
         start = np.broadcast_to(start, (*values.shape[:-1], 4, 4))
-    poses = poses_with_locked_coordinates_at_home(
-        mechanism.stated, np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4)))
-    )
+    poses = np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4)))
+    poses = solve_by_newton(poses, flat, mechanism)
+    return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
+
+
+def solve_by_newton(start: Floats, values: Floats, mechanism: FileMechanism, observe: Observe | None = None) -> Floats:
+    """Poses (n, 4, 4) of axis values (n, axes) by Newton from a start (n, 4, 4), by the file's inverse alone.
+
+    observe : called with each step's (poses (n, 4, 4), change of the axes with the freedoms (n, axes, freedoms), error
+        (n, axes), step (n, freedoms)), or None
+    Raises NotConverged as `forward`
+    """
+    poses = poses_with_locked_coordinates_at_home(mechanism.stated, start)
     columns = _columns_at_starts(poses, mechanism)
     before = _side(columns)
-    left = _newton(poses, flat, columns, mechanism)
+    left = _newton(poses, values, columns, mechanism, observe)
     after = _side(axis_change_columns_by_freedom(mechanism.stated, poses, mechanism.parameters))
     left[(left < GOOD) & (after != before)] = np.inf
-    _require_solved(left, flat, mechanism)
-    return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
+    _require_solved(left, values, mechanism)
+    return poses
 
 
 def _columns_at_starts(poses: Floats, mechanism: FileMechanism) -> Floats:
@@ -98,7 +109,9 @@ def _columns_at_starts(poses: Floats, mechanism: FileMechanism) -> Floats:
     return np.array(np.broadcast_to(columns, (len(poses), *columns.shape[1:])))
 
 
-def _newton(poses: Floats, values: Floats, columns: Floats, mechanism: FileMechanism) -> Floats:
+def _newton(
+    poses: Floats, values: Floats, columns: Floats, mechanism: FileMechanism, observe: Observe | None
+) -> Floats:
     """Move poses (n, 4, 4) in place until their axis values are those wanted (n, axes); what is left (n,) m or rad.
 
     columns : (n, axes, freedoms) change of the axes with the freedoms at these poses; made anew, in place, for a pose
@@ -123,6 +136,8 @@ def _newton(poses: Floats, values: Floats, columns: Floats, mechanism: FileMecha
         if len(renewed):
             columns[renewed] = axis_change_columns_by_freedom(file, poses[renewed], mechanism.parameters)
         step[fresh] = _step(columns[fresh], error[finite], file)
+        if observe is not None:
+            observe(start[going], columns[going], error, step[going])
         poses[going] = _moved(start[going], step[going], file)
     return left
 

@@ -12,20 +12,21 @@ import numpy as np
 from scipy.linalg import lu
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_and_json_types import Floats, Integers
-from rig.errors import NotConverged
+from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod_kernels
+from rig.model.mechanisms.hexapod_newton import (
+    MAX_TURN,
+    TOLERANCE,
+    require_solved,
+    solve_by_least_squares,
+    solve_by_newton_with_pivots,
+    strut_lengths_and_jacobian,
+)
 from rig.model.pose import exp, transform_points
 
 AXIS, UNIT = "strut", "m"
-TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
-MAX_ITERATIONS = 60
-MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
 CHUNK = 4096  # poses at a time, so that the work stays in the cache
-LOOSE = (
-    1e-9  # of the Jacobian's largest singular value, in m and rad: below, more than six struts leave a platform loose
-)
 
 
 def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
@@ -55,7 +56,7 @@ def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
     Source: Merlet, Parallel Robots, 2nd ed., ch. 5
     """
     matrix = T_base_platform.as_matrix()
-    return _rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1]
+    return strut_lengths_and_jacobian(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1]
 
 
 def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
@@ -79,7 +80,9 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
     guess = hexapod.home if guess is None else guess
     flat = lengths.reshape(-1, count) + hexapod.strut_zeros
     if count > 6:
-        return RigidTransform.from_matrix(_balanced(lengths, flat, guess, hexapod).reshape(*lengths.shape[:-1], 4, 4))
+        return RigidTransform.from_matrix(
+            solve_by_least_squares(lengths, flat, guess, hexapod).reshape(*lengths.shape[:-1], 4, 4)
+        )
     matrix, residual, crossed = np.empty((len(flat), 4, 4)), np.empty(len(flat)), np.empty(len(flat), bool)
     start = guess.as_matrix()
     if start.ndim > 2:
@@ -91,9 +94,9 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
         for at in range(0, len(failed), CHUNK):
             part = failed[at : at + CHUNK]
             moved = began[part].copy()
-            residual[part] = _newton(moved, flat[part], hexapod)
+            residual[part] = solve_by_newton_with_pivots(moved, flat[part], hexapod)
             matrix[part] = moved
-        _check(matrix, began, residual, lengths, hexapod, failed)
+        require_solved(matrix, began, residual, lengths, hexapod, failed)
     return RigidTransform(
         matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False
     )  # of unit quaternions, normal as it is
@@ -210,118 +213,6 @@ def _side_by_side(lengths: Floats, start: Floats, hexapod: Hexapod, out: tuple[F
 def _order(hexapod: Hexapod) -> Floats:
     """(6,) struts in the order in which elimination with pivots takes the Jacobian's rows at home."""
     return np.argmax(lu(jacobian(hexapod.home, hexapod))[0], axis=0)
-
-
-def _rows(R: Floats, t: Floats, hexapod: Hexapod) -> tuple[Floats, Floats]:
-    """Strut lengths (..., struts) and their Jacobian (..., struts, 6) at rotation R (..., 3, 3), place t (..., 3)."""
-    struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + t[..., None, :] - hexapod.base_joints
-    length = np.sqrt(np.einsum("...ij,...ij->...i", struts, struts))
-    u = (struts / length[..., None]) @ R  # unit directions, platform frame
-    a = hexapod.platform_joints
-    J = np.empty((*u.shape[:-1], 6))
-    J[..., :3] = u
-    J[..., 3] = a[:, 1] * u[..., 2] - a[:, 2] * u[..., 1]
-    J[..., 4] = a[:, 2] * u[..., 0] - a[:, 0] * u[..., 2]
-    J[..., 5] = a[:, 0] * u[..., 1] - a[:, 1] * u[..., 0]
-    return length, J
-
-
-def _newton(matrix: Floats, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Move matrix (n, 4, 4) in place until its strut lengths are those wanted (n, 6); returns the residual (n,) m."""
-    residual = np.full(len(matrix), np.inf)
-    open_ = np.arange(len(matrix))
-    reach = 0.3 * np.linalg.norm(hexapod.home.translation)
-    for _ in range(MAX_ITERATIONS):
-        R, t = matrix[open_, :3, :3], matrix[open_, :3, 3]
-        length, J = _rows(R, t, hexapod)
-        error = lengths[open_] - length
-        worst = np.abs(error).max(axis=1)
-        residual[open_] = worst
-        going = worst > TOLERANCE
-        if not going.any():
-            break
-        if not going.all():
-            open_, R, t, J, error = open_[going], R[going], t[going], J[going], error[going]
-        try:
-            step = np.linalg.solve(J, error[..., None])[..., 0]
-        except np.linalg.LinAlgError:
-            step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
-        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
-        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
-        matrix[open_, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
-        matrix[open_, :3, :3] = R @ _rotation(cast(Floats, step[:, 3:]))
-    return residual
-
-
-def _balanced(commanded: Floats, lengths: Floats, guess: RigidTransform, hexapod: Hexapod) -> Floats:
-    """(n, 4, 4) poses at which more than six struts of one stiffness balance, for lengths (n, struts) m: Gauss and
-    Newton's steps, whose projection on the pose vanishes there. commanded : (..., struts) m, for messages
-    """
-    matrix = np.array(np.broadcast_to(guess.as_matrix(), (*commanded.shape[:-1], 4, 4)).reshape(-1, 4, 4))
-    left, going = np.full(len(matrix), np.inf), np.arange(len(matrix))
-    reach, size = 0.3 * np.linalg.norm(hexapod.home.translation), np.linalg.norm(hexapod.platform_joints, axis=1).max()
-    for _ in range(MAX_ITERATIONS):
-        R, t = matrix[going, :3, :3], matrix[going, :3, 3]
-        length, J = _rows(R, t, hexapod)
-        step = (np.linalg.pinv(J, rcond=LOOSE) @ (lengths[going] - length)[..., None])[..., 0]
-        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
-        left[going] = np.maximum(move, size * turn)
-        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
-        matrix[going, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
-        matrix[going, :3, :3] = R @ _rotation(step[:, 3:])
-        going = going[left[going] > TOLERANCE]
-        if not len(going):
-            break
-    values = np.linalg.svd(_rows(matrix[:, :3, :3], matrix[:, :3, 3], hexapod)[1], compute_uv=False)
-    failed = np.flatnonzero(~(left <= 10 * TOLERANCE) | (values[:, -1] < LOOSE * values[:, 0]))
-    if len(failed):
-        flat = commanded.reshape(-1, commanded.shape[-1])
-        raise NotConverged(
-            f"{len(failed)} of {len(left)} poses are not held by the struts near the guess; first at lengths "
-            f"{flat[failed[0]].round(6).tolist()} m",
-            failed,
-            flat[failed],
-            left[failed],
-        )
-    return matrix
-
-
-def _rotation(rotvec: Floats) -> Floats:
-    """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
-    return Rotation.from_rotvec(rotvec).as_matrix()
-
-
-def _check(
-    matrix: Floats, start: Floats, residual: Floats, lengths: Floats, hexapod: Hexapod, doubtful: Integers
-) -> None:
-    """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a
-    singularity.
-    """
-    failed = np.flatnonzero(residual > 10 * TOLERANCE)
-    if len(failed):
-        worst = failed[np.argmax(residual[failed])]
-        raise NotConverged(
-            f"{len(failed)} of {len(residual)} poses have no solution near the guess; worst leaves "
-            f"{residual[worst]:.3g} m "
-            f"at lengths {lengths.reshape(-1, 6)[worst].round(6).tolist()} m",
-            failed,
-            lengths.reshape(-1, 6)[failed],
-            residual[failed],
-        )
-    side, before = (
-        np.linalg.det(_rows(part[:, :3, :3], part[:, :3, 3], hexapod)[1])
-        for part in (matrix[doubtful], start[doubtful])
-    )
-    crossed = doubtful[np.sign(side) != np.sign(before)]
-    if len(crossed):
-        raise NotConverged(
-            f"{len(crossed)} of {len(residual)} poses were found only beyond a singularity, in another "
-            "assembly; first at "
-            f"lengths {lengths.reshape(-1, 6)[crossed[0]].round(6).tolist()} m",
-            crossed,
-            lengths.reshape(-1, 6)[crossed],
-            residual[crossed],
-        )
 
 
 SINGULAR = 1e-6  # of the largest singular value of the Jacobian, rotations weighed by the platform's size

@@ -1,5 +1,5 @@
 """`rig arm kinematics`: poses of joint values, all joint values of poses, step by step; calibrated arms finished
-numerically.
+numerically; iterations of platforms.
 """
 
 import json
@@ -7,17 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.arm_kinematics import ArmKinematics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
+from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.mechanisms import arm as mechanism
-from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, kinematics_of
 from rig.model.pose import pose, pose_difference, pose_to_vector
 from rig.planning.layout import shipped_arms_and_layouts
 from tests.calib import secret_arms as worlds
-from tests.cli import command
+from tests.cli import command, run
+from tests.conftest import ROOT
 from tests.rig.arms import UR10
 
 
@@ -153,3 +155,78 @@ def test_the_hands_points_lie_as_far_apart_as_stated(tmp_path, rig):
         np.testing.assert_allclose(other["AB"], 0.1 * np.array(one["AB"]), atol=1e-12)
         np.testing.assert_allclose(np.subtract(other["points"]["C"], other["points"]["A"]), other["AC"], atol=1e-12)
         assert other["points"]["A"] == one["points"]["A"] and other["value"] == one["value"]
+
+
+def table(path, axes, rows):
+    lines = [",".join([str(k), *map(repr, row)]) for k, row in enumerate(np.asarray(rows).tolist())]
+    path.write_text("\n".join([",".join(["frame", *axes]), *lines]) + "\n")
+    return path
+
+
+KINEMATICS = ROOT / "docs" / "kinematics"
+
+
+def platform_file(name, folder):
+    """Path of the rig.toml of a platform, by the number of its struts or the name of its kinematics file."""
+    if not name.isdigit():
+        return KINEMATICS / f"{name}.toml"
+    assert run("new", "design", "--radius", 0.3, "--struts", name, "--out", folder / "rig.toml").returncode == 0
+    return folder / "rig.toml"
+
+
+@pytest.mark.parametrize("name", ["6", "8", "delta", "cranks"])
+def test_the_steps_of_a_trace_lead_to_the_pose(tmp_path, rig, name):
+    """Every step solves B x = b, moves the pose on which the next stands, and the last is the forward solution."""
+    path = platform_file(name, tmp_path)
+    mechanism = load_design(path).mechanism
+    kinematics = kinematics_of(mechanism)
+    home = kinematics.home_values(mechanism)
+    q = home + np.random.default_rng(4).uniform(-0.01, 0.01, (2, len(home)))
+    values = table(tmp_path / "q.csv", mechanism.axes, q)
+    tree = json.loads(rig(path, "--forward", values, "--trace", "--json"))
+    for entry, own in zip(tree["frames"], q):
+        T = kinematics.forward(own, mechanism)
+        found = pose(entry["pose"][:3], entry["pose"][3:])
+        np.testing.assert_allclose(pose_difference(found, T), 0, atol=1e-12)
+        assert len(entry["trace"]) >= 2
+        for one, following in zip(entry["trace"], [*entry["trace"][1:], entry]):
+            before, after = (pose(each["pose"][:3], each["pose"][3:]) for each in (one, following))
+            B, b, x = (np.array(one[key]) for key in "Bbx")
+            np.testing.assert_allclose(own - kinematics.inverse(before, mechanism), b, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(B.T @ (B @ x - b), 0, atol=1e-12)  # of eight struts, which do not agree, too
+            step = np.zeros(6)
+            step[[["x", "y", "z", "rx", "ry", "rz"].index(one) for one in entry["unknowns"]]] = x
+            turn, R = Rotation.from_rotvec(step[3:]), before.rotation
+            moved = (
+                RigidTransform.from_components(before.translation + step[:3], turn * R)
+                if entry["along"] == "base"
+                else RigidTransform.from_components(before.translation + R.apply(step[:3]), R * turn)
+            )
+            np.testing.assert_allclose(pose_difference(moved, after), 0, atol=1e-12)
+    text = rig(path, "--forward", values, "--trace")
+    assert "  iteration 2: from position (" in text and "    x, which moves the platform: x " in text
+    assert f"  {len(tree['frames'][1]['trace'])} iterations; settled at position (" in text
+
+
+def test_a_trace_of_axis_values_without_a_pose_is_printed_all_the_same(tmp_path, rig):
+    values = table(tmp_path / "q.csv", ("q1", "q2", "q3"), [[0.43, 0.27, 1.4]])
+    text = rig(KINEMATICS / "delta.toml", "--forward", values, "--trace")
+    assert (
+        "have no pose near home" in text and "  iteration 1: from" in text and "iterations; no pose was found" in text
+    )
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (("scara", "--forward", "q.csv", "--trace"), "kind 'arm' is a formula: nothing is iterated"),
+        (("scara", "--inverse", "q.csv", "--trace"), "--trace prints the iterations of --forward"),
+        ((KINEMATICS / "delta.toml", "--forward", "d.csv", "--steps"), "takes --trace"),
+        ((ROOT / "docs/hands/humanoid.toml", "--forward", "d.csv"), "hand"),
+    ],
+)
+def test_what_has_no_trace_or_steps_is_refused(tmp_path, monkeypatch, rig, options, says):
+    monkeypatch.chdir(tmp_path)
+    table(tmp_path / "q.csv", ("q1", "q2", "q3", "q4"), [[0.1, 0.1, 0.1, 0.1]])
+    table(tmp_path / "d.csv", ("q1", "q2", "q3"), [[0.35, 0.35, 0.35]])
+    assert says in rig(*options, ok=False)

@@ -1,0 +1,69 @@
+"""Steps of the forward kinematics of a hexapod or of a kinematics file: each iteration's matrix, unknowns and pose.
+
+The scheme is the same for all: from a start, the linear equations B x = b are set up and solved, what x says is moved,
+until x is small. b is what the axes miss, B their change with the pose, x the move of the platform.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.errors import NotConverged, RigError
+from rig.model.mechanism_geometry_classes import FileMechanism, Hexapod
+from rig.model.mechanisms import file_mechanism, hexapod_newton
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_redundant
+from rig.model.user_kinematics_file import FREEDOMS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolutionStep:
+    """One iteration. pose : (4, 4) T_base_platform before it; B : (axes, k) change of the axes with the unknowns, m or
+    rad of an axis by m or rad; b : (axes,) wanted less present axis values; x : (k,) m and rad, the step that was made,
+    shortened where it was long
+    """
+
+    pose: Floats
+    B: Floats
+    b: Floats
+    x: Floats
+
+
+def unknowns(mechanism: Hexapod | FileMechanism) -> tuple[tuple[str, ...], str]:
+    """(names of the unknowns x, frame along whose axes they are, "platform" or "base")."""
+    if isinstance(mechanism, Hexapod):
+        return FREEDOMS, "platform"
+    return tuple(FREEDOMS[k] for k in mechanism.pose_coordinates), "base"
+
+
+def forward_solution_steps(
+    values: Floats, mechanism: Mechanism
+) -> tuple[Hexapod | FileMechanism, tuple[SolutionStep, ...]]:
+    """(the mechanism, steps from home to the pose of axis values (axes,) m or rad), as far as they went.
+
+    A hexapod's are those with pivots, which stand behind the compiled ones. A kinematics file's solve its `inverse`,
+    also where it states a `forward`.
+    Raises RigError for a kind whose pose follows from its axes by a formula, so that nothing is iterated
+    """
+    if not isinstance(mechanism, Hexapod | FileMechanism):
+        raise RigError(
+            f"the forward kinematics of a mechanism of kind {mechanism.kind!r} is a formula: nothing is iterated, so "
+            "--trace has nothing to print; an arm's --steps prints its joints one after the other"
+        )
+    steps: list[SolutionStep] = []
+
+    def observe(poses: Floats, B: Floats, b: Floats, x: Floats) -> None:
+        steps.append(SolutionStep(poses[0].copy(), B[0].copy(), b[0].copy(), x[0].copy()))
+
+    try:
+        if isinstance(mechanism, FileMechanism):
+            file_mechanism.solve_by_newton(mechanism.stated.home[None], values[None], mechanism, observe)
+        elif is_redundant(mechanism):
+            lengths = values[None] + mechanism.strut_zeros
+            hexapod_newton.solve_by_least_squares(values[None], lengths, mechanism.home, mechanism, observe)
+        else:
+            start = np.array(mechanism.home.as_matrix()[None])
+            hexapod_newton.solve_by_newton_with_pivots(start, values[None] + mechanism.strut_zeros, mechanism, observe)
+    except NotConverged:  # its steps are what is asked for; that they lead nowhere is for `forward` to say
+        pass
+    return mechanism, tuple(steps)
