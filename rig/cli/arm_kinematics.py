@@ -24,8 +24,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "arm",
         metavar="MACHINE",
-        help="a rig.toml with an arm, a platform on struts or a kinematics file; its calibration.json; or a shipped arm's "
-        "name",
+        help="a rig.toml with an arm, a platform on struts or a kinematics file; its calibration.json; or the name of "
+        "a shipped arm",
     )
     direction = parser.add_mutually_exclusive_group(required=True)
     direction.add_argument("--forward", metavar="FILE", type=Path, help="frame,q1..qn (rad, of slides m) -> poses")

@@ -181,7 +181,7 @@ def arguments_of_design(parser: ArgumentParser) -> None:
         "panda, stanford, scara, gantry",
     )
     add_own_arm_options(parser)
-    add_units_option(parser, "in rig.toml, and in --dh where its header states none")
+    add_units_option(parser, "in rig.toml, and in --dh and --poe where its header states none")
     parser.add_argument(
         "--seen",
         choices=("cubes", "hand"),
@@ -218,7 +218,7 @@ def arguments_of_design(parser: ArgumentParser) -> None:
 def add_own_arm_options(parser: ArgumentParser) -> None:
     """Add the options that name a file of one's own arm.
 
-    A URDF or a table of Denavit-Hartenberg rows.
+    A URDF, a table of Denavit-Hartenberg rows, or one of screw axes.
     """
     parser.add_argument("--urdf", metavar="FILE.urdf", type=Path, help="your own arm, with the URDF's exact kinematics")
     parser.add_argument(
@@ -237,19 +237,34 @@ def add_own_arm_options(parser: ArgumentParser) -> None:
         "(revolute, prismatic), name, lower, upper; units in the header, as alpha_deg, d_mm",
     )
     parser.add_argument("--modified", action="store_true", help="of --dh, rows in Craig's convention")
+    parser.add_argument(
+        "--poe",
+        metavar="FILE.csv",
+        type=Path,
+        help="your own arm, as a product of exponentials: a table of screw axes with a header wx, wy, wz, vx, vy, vz, "
+        "optional name, lower, upper",
+    )
+    parser.add_argument(
+        "--home",
+        metavar=("X", "Y", "Z", "RX", "RY", "RZ"),
+        nargs=6,
+        type=parse_number,
+        help="of --poe, the hand's pose at 0, position (m) and rotation vector (rad)",
+    )
 
 
 def arm_file_options(arguments: Namespace, units: str | None) -> "ArmFileOptions":
     """ArmFileOptions of the arguments that `add_own_arm_options` adds.
 
-    units : of --dh, None for its header's or SI
+    units : of --dh or --poe, None for its header's or SI
     Raises RigError
     """
     from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
 
-    names = ("urdf", "root", "dh", "modified")
+    names = ("urdf", "root", "dh", "modified", "poe")
     given = {name: getattr(arguments, name) for name in names}
-    return ArmFileOptions(**given, tips=tuple(arguments.tip), units=units)
+    home = None if arguments.home is None else tuple(arguments.home)
+    return ArmFileOptions(**given, tips=tuple(arguments.tip), units=units, home=home)
 
 
 def _radius(text: str) -> float:
@@ -270,7 +285,8 @@ def run_design(arguments: Namespace) -> None:
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 
-    units = None if arguments.dh is None or arguments.units is None else str(arguments.units)
+    table = arguments.dh or arguments.poe
+    units = None if table is None or arguments.units is None else str(arguments.units)
     own = read_arm_file(arm_file_options(arguments, units))
     options = LayoutOptions(
         mechanism=arguments.mechanism,

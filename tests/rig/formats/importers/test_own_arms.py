@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from rig.errors import RigError
@@ -9,6 +10,7 @@ from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as serial
+from rig.model.pose import pose
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design, shipped_arm_names
 from tests.cli import run
 from tests.rig.arms import configurations, random_arm
@@ -191,6 +193,61 @@ def test_a_table_of_modified_rows_is_converted(tmp_path):
         np.testing.assert_allclose(serial.forward(q, arm).as_matrix(), craig(rows, q), rtol=0, atol=1e-12)
 
 
+def screws(rng, slide, n=6):
+    """(text of a random arm's screw axes, m; function of joint values -> (4, 4) by matrix exponentials; home)."""
+    w = rng.normal(size=(n, 3))
+    w /= np.linalg.norm(w, axis=1, keepdims=True)
+    v = -np.cross(w, rng.uniform(-1, 1, (n, 3)))
+    v[slide], w[slide] = w[slide], 0.0
+    home = rng.uniform(-1, 1, 6)
+    body = "\n".join(",".join(repr(float(x)) for x in [*v[i], *w[i], -1.5, 2.0]) for i in range(n))
+
+    def forward(q):
+        M = np.eye(4)
+        for axis, moment, value in zip(w, v, q):
+            twist = np.zeros((4, 4))
+            twist[:3, :3], twist[:3, 3] = np.cross(np.eye(3), axis), moment
+            M = M @ expm(twist * value)
+        return M @ pose(home[:3], home[3:]).as_matrix()
+
+    return f"vx,vy,vz,wx,wy,wz,lower,upper\n{body}\n", forward, tuple(home)
+
+
+def test_a_table_of_screw_axes_has_their_product_of_exponentials(tmp_path):
+    rng = np.random.default_rng(5)
+    text, forward, home = screws(rng, 2)
+    found = read_arm_file(ArmFileOptions(poe=written(tmp_path, text, "poe.csv"), home=home))
+    assert found.arm.slides.tolist() == [False, False, True, False, False, False]
+    for q in rng.uniform(-1.5, 2, (5, 6)):
+        np.testing.assert_allclose(serial.forward(q, found.arm).as_matrix(), forward(q), rtol=0, atol=1e-12)
+    assert found.lines[0].startswith("read joint q1: revolute, about (") and " mm, limits -85.9437 " in found.lines[0]
+    assert found.lines[2].startswith("read joint q3: prismatic, along (")
+    mm = text.replace("vx,vy,vz", "vx_mm,vy_mm,vz_mm").splitlines()
+    rows = [line.split(",") for line in mm[1:]]
+    scaled = [
+        [repr(1e3 * float(x)) if k < 3 and i != 2 else x for k, x in enumerate(row)] for i, row in enumerate(rows)
+    ]
+    table = "\n".join([mm[0], *map(",".join, rows)])
+    again = read_arm_file(ArmFileOptions(poe=written(tmp_path, table, "mm.csv"), home=home))
+    np.testing.assert_allclose(again.arm.rows, found.arm.rows, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "row, message",
+    [
+        ("0,0,2,0,0,0", "poe.csv:2: w has length 2, and must have length 1"),
+        ("0,0,0,0,0,0.5", "poe.csv:2: v of a joint that slides"),
+        ("0,0,1,0,0,0.1", "w . v = 0.1, a screw's"),
+        ("0,0,1,0,250,0", "is it in mm"),
+        ("0,0,0,0,0,1", "a prismatic joint has no limits"),
+    ],
+)
+def test_refusals_of_screw_axes(tmp_path, row, message):
+    path = written(tmp_path, f"wx,wy,wz,vx,vy,vz\n{row}\n", "poe.csv")
+    with pytest.raises(RigError, match=message):
+        read_arm_file(ArmFileOptions(poe=path, home=(0.0,) * 6))
+
+
 def test_units_of_a_table_by_header_or_stated(tmp_path):
     text = "name,theta_deg,d_mm,a [mm],alpha (deg),lower,upper\nbase,0,127.3,0,90,-180,180\nelbow,0,0,-612,0,-90,90\n"
     found = read_arm_file(ArmFileOptions(dh=written(tmp_path, text, "dh.csv"), units="mm,deg"))
@@ -240,6 +297,15 @@ def test_the_command_writes_a_rig_that_loads_and_names_joints(tmp_path):
     assert "read joint j1: revolute, limits -171.887 .. 114.592 deg" in done.stderr
     design = design_from_rig_toml.load_design(out)
     assert design.name == "mine" and design.mechanism.axes == ("q1", "q2", "q3") and design.instrument.base == "free"
+
+
+def test_the_command_reads_screw_axes(tmp_path):
+    table = written(tmp_path, screws(np.random.default_rng(2), 1, 4)[0], "poe.csv")
+    out, home = tmp_path / "rig.toml", (0.3, 0.0, 0.5, 0.0, 1.5707963, 0.0)
+    done = run("new", "design", "--poe", table, "--home", *home, "--out", out)
+    assert "read joint q2: prismatic, along (" in done.stderr
+    assert design_from_rig_toml.load_design(out).mechanism.slides.tolist() == [False, True, False, False]
+    assert "--home X Y Z RX RY RZ" in run("new", "design", "--poe", table, "--out", out, ok=False).stderr
 
 
 def test_placements_in_rig_toml_are_checked(tmp_path):
