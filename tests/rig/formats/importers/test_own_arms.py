@@ -224,9 +224,7 @@ def test_a_table_of_screw_axes_has_their_product_of_exponentials(tmp_path):
     assert found.lines[2].startswith("read joint q3: prismatic, along (")
     mm = text.replace("vx,vy,vz", "vx_mm,vy_mm,vz_mm").splitlines()
     rows = [line.split(",") for line in mm[1:]]
-    scaled = [
-        [repr(1e3 * float(x)) if k < 3 and i != 2 else x for k, x in enumerate(row)] for i, row in enumerate(rows)
-    ]
+    rows = [[repr(1e3 * float(x)) for x in row[:3]] + row[3:] if i != 2 else row for i, row in enumerate(rows)]
     table = "\n".join([mm[0], *map(",".join, rows)])
     again = read_arm_file(ArmFileOptions(poe=written(tmp_path, table, "mm.csv"), home=home))
     np.testing.assert_allclose(again.arm.rows, found.arm.rows, atol=1e-12)
