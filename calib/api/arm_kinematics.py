@@ -54,6 +54,7 @@ class ArmKinematics:
         if trace:
             forward_solution_steps(q[0], self.arm)
         arm, correction = self.arm, self.correction
+        q = arm.with_followers(q)
         T = mechanism.forward(q, arm)
         beyond = mechanism.signed_limit_excess(q, arm)
         out = []

@@ -43,7 +43,7 @@ from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
@@ -81,6 +81,7 @@ class ExtendOptions:
     def refuse_unsuited(self, design: Design) -> None:
         """Raise RigError where a pass cannot be of a design's machine, or stand on its calibration."""
         require_one_hand(design.mechanism, "corrections are extended")
+        require_no_couplings(design.mechanism, "corrections are extended")
         if is_redundant(design.mechanism) and self.space != POSE:
             raise RigError(
                 f"--extend {self.method} interpolates between independent commands, and the lengths of "

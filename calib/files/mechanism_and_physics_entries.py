@@ -26,6 +26,7 @@ from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
 from rig.formats.rig_toml.mechanism_entries import (
     branch_and_hand_json,
     branches_of_tables,
+    couplings_of_tables,
     hands_of_tables,
     mechanism_of_file,
 )
@@ -174,7 +175,7 @@ def mechanism_dict(mechanism: Commanded) -> Json:
             "joints": mechanism.rows.tolist(),
             **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")[: 3 - ends]},
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
-            **branch_and_hand_json(mechanism.branches, mechanism.hands),
+            **branch_and_hand_json(mechanism),
         }
     if not has_struts(mechanism):
         return kinematics_file_mechanism_dict(mechanism)
@@ -259,14 +260,16 @@ def _arm(table: Entries) -> Arm:
         table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
     branches = branches_of_tables(table, len(joints))
     hands = hands_of_tables(table, len(joints), branches)
+    slides = _slides_in(table, len(joints))
     return Arm(
         joints,
         table.array("limits", (len(joints), 2)),
         table.pose("base"),
         hands[0].tool if hands else table.pose("tool"),
-        _slides_in(table, len(joints)),
+        slides,
         branches,
         hands,
+        couplings=couplings_of_tables(table, slides),
     )
 
 

@@ -18,7 +18,7 @@ from rig.formats.numbers_and_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.formats.rig_toml.mechanism_entries import Joint
-from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand
 from rig.model.base_and_link_tilt_sensors import BaseTilt, TiltSensor
 from rig.model.design import (
     Actuator,
@@ -69,6 +69,10 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
         "Of an arm with several hands on one trunk; [several hands](several-hands.md) says more.",
     ),
     "[[mechanism.hand]]": (Hand, "Two or more, in place of `tool`; joints are counted from 1, as q1 .."),
+    "[[mechanism.coupling]]": (
+        Coupling,
+        "One for each joint of an arm that follows another, as a mimic joint of a URDF.",
+    ),
     '[mechanism] kind = "chain"': (
         None,
         "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
@@ -232,6 +236,8 @@ KEY_TEXTS = {  # of keys that are not fields, or not those alone
     ("[[mechanism.branch]]", "joint"): "its number: 4 is q4",
     ("[[mechanism.branch]]", "parent"): "number of the joint whose link carries it, 0 for the base",
     ("[[mechanism.hand]]", "joint"): "number of the joint whose link holds it",
+    ("[[mechanism.coupling]]", "joint"): "number of the joint that follows",
+    ("[[mechanism.coupling]]", "leader"): "number of the joint that it follows",
     ("[[target]]", "board"): "description of a board with the lengths of its print",
     ("[[target]]", "pose"): "T_body_cube, of the cube's centre, or T_body_board, of the board's lower left corner: x "
     "right, y up, z out of the paper",
@@ -308,7 +314,13 @@ def samples() -> list[dict[str, Any]]:
     arms.append(
         {
             "schema": "rig/1",
-            "mechanism": {"kind": "arm", "joints": [joint], "base": stands, "tool": stands},
+            "mechanism": {
+                "kind": "arm",
+                "joints": [joint, joint],
+                "base": stands,
+                "tool": stands,
+                "coupling": [{"joint": 2, "leader": 1, "multiplier": 1.0, "offset": 0.0}],
+            },
             "tilt_sensor": [leans],
         }
     )
@@ -335,6 +347,7 @@ TABLE_KEYS = (
     "tilt",
     "mechanism",
     "branch",
+    "coupling",
     "hand",
     "camera",
     "capture",

@@ -49,6 +49,39 @@ class Hand:
     centre_of_mass: Floats | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """A joint that follows another: its value is multiplier * (the leader's) + offset.
+
+    joint, leader : their indices; multiplier : the joint's motion by the leader's (rad or m each); offset : m, of
+    a joint that turns rad
+    """
+
+    joint: int
+    leader: int
+    multiplier: float
+    offset: float
+
+
+def coupling_matrix(count: int, couplings: tuple[Coupling, ...]) -> Floats:
+    """Matrix (n, n) of joints' motion by commanded motion: the identity, but a follower's row, which is its leader's.
+
+    Raises ValueError for a coupling of a joint that there is not, with itself, stated twice, or behind a follower
+    """
+    out = np.eye(count)
+    for k, one in enumerate(couplings):
+        if not 0 <= one.joint < count or not 0 <= one.leader < count or one.joint == one.leader:
+            raise ValueError(f"coupling {k + 1}: joint {one.joint + 1} cannot follow joint {one.leader + 1}")
+        if one.joint in [other.joint for other in couplings[:k]]:
+            raise ValueError(f"coupling {k + 1}: joint {one.joint + 1} follows another joint already")
+        if one.leader in [other.joint for other in couplings]:
+            raise ValueError(f"coupling {k + 1}: joint {one.leader + 1} follows a joint itself: name that one")
+        if not np.isfinite(one.multiplier) or not one.multiplier or not np.isfinite(one.offset):
+            raise ValueError(f"coupling {k + 1}: multiplier {one.multiplier:g} or offset {one.offset:g} is no figure")
+        out[one.joint, one.joint], out[one.joint, one.leader] = 0.0, one.multiplier
+    return out
+
+
 def joint_parents(count: int, branches: tuple[Branch, ...]) -> Integers:
     """Index (n,) of the joint whose link carries each of n joints, -1 for the base: the one before it without branch.
 
@@ -95,6 +128,15 @@ def require_one_hand(mechanism: object, refusal_beginning: str) -> None:
     names = hand_names(mechanism)
     if names:
         raise RigError(f"{refusal_beginning} for arms with one hand; this one has {len(names)}: {', '.join(names)}")
+
+
+def require_no_couplings(mechanism: object, refusal_beginning: str) -> None:
+    """Raise RigError for an arm with joints that follow others. refusal_beginning : says what is not done"""
+    for one in getattr(mechanism, "couplings", ())[:1]:
+        raise RigError(
+            f"{refusal_beginning} for arms whose joints all move alone; joint {one.joint + 1} follows joint "
+            f"{one.leader + 1}"
+        )
 
 
 def selected_hand_name(mechanism: object) -> str | None:

@@ -8,75 +8,20 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers, freeze_array, frozen_array
-from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand, carried_joints, hand_number, joint_parents
+from rig.model.arm_hands_effect_places_and_tolerances import (
+    Branch,
+    Coupling,
+    Hand,
+    carried_joints,
+    coupling_matrix,
+    hand_number,
+    joint_parents,
+)
+from rig.model.stated_mechanism import StatedMechanism
 from rig.model.user_kinematics_file import KinematicsFile
 from rig.model.user_kinematics_file_checks import kinematics_of_source
 
 WORDS = {"m": "slide", "rad": "joint"}  # what an axis of a kinematics file is called, by its unit
-
-
-class StatedMechanism:
-    """What every mechanism answers of itself. A mechanism of which something else holds says so in its own class.
-
-    axis_unit : of the travel of its axes, the slides of an arm aside
-    pose_coordinates : which of a pose's six coordinates (x y z rx ry rz, from 0) its platform can change
-    placements : names of the poses that say where it stands and what it holds, fitted along with its geometry
-    closes_loops : whether each of its axes follows from the platform's pose by an equation of its own (parallel
-        mechanisms)
-    """
-
-    __slots__ = ()
-    axis_unit: ClassVar[Literal["m", "rad"]] = "m"
-    pose_coordinates: ClassVar[tuple[int, ...]] = (0, 1, 2, 3, 4, 5)
-    placements: ClassVar[tuple[str, ...]] = ()
-    closes_loops: ClassVar[bool] = False
-
-    @property
-    def axis_words(self) -> tuple[str, ...]:
-        """What each of its axes is called: "strut", "joint" or "slide"."""
-        return ()
-
-    @property
-    def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies that it moves below the platform; none where its platform stands on its base."""
-        return ()
-
-    @property
-    def home_pose(self) -> RigidTransform | None:
-        """T_base_platform at home, as its owner states it; None where no such pose is stated."""
-        return None
-
-    @property
-    def plates(self) -> tuple[Floats, Floats] | None:
-        """(base joints, platform joints) (axes, 3) m, each in its own plate's frame; None without two plates."""
-        return None
-
-    @property
-    def strut_joints(self) -> tuple[Floats, Floats] | None:
-        """(base joints (axes, 3) m in the base frame, the struts' other ends (axes, 3) m in the platform's); None
-        without struts.
-        """
-        return None
-
-    @property
-    def link_rows(self) -> Floats | None:
-        """(axes, 5) theta, d, a, alpha, beta of the links between its joints; None without links."""
-        return None
-
-    @property
-    def reach(self) -> float | None:
-        """m, how long it is at the most; None where that is not known of it as a whole."""
-        return None
-
-    @property
-    def geometry_arrays(self) -> dict[str, Floats]:
-        """{name: array} of the figures of its geometry that a calibration fits, m and rad."""
-        return {}
-
-    @property
-    def files(self) -> dict[str, str]:
-        """{name: text} of the files that state its kinematics, beside its rig.toml."""
-        return {}
 
 
 STRUT_COUNTS = (6, 7, 8)  # of a Gough-Stewart platform
@@ -221,6 +166,7 @@ class Arm(StatedMechanism):
         default
     branches : joints that stand on another link than that of the joint before them; hands : of an arm with several, the
         tool then that of hand number `hand`, from 0, of which forward kinematics and Jacobians are
+    couplings : joints that follow others; their values are computed from the leaders', whatever is given for them
     """
 
     joints: Floats
@@ -231,6 +177,7 @@ class Arm(StatedMechanism):
     branches: tuple[Branch, ...] = ()
     hands: tuple[Hand, ...] = ()
     hand: int = 0
+    couplings: tuple[Coupling, ...] = ()
     kind: ClassVar[Literal["arm"]] = "arm"
     axis_unit: ClassVar[Literal["m", "rad"]] = "rad"
     placements: ClassVar[tuple[str, ...]] = ("base", "tool")
@@ -243,6 +190,7 @@ class Arm(StatedMechanism):
         slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
         object.__setattr__(self, "slides", frozen_array(slides, (len(self.joints),), "slides") > 0)
         joint_parents(len(self.joints), self.branches)
+        coupling_matrix(len(self.joints), self.couplings)
         if self.hands:
             object.__setattr__(self, "tool", self.hands[self.hand].tool)
 
@@ -250,6 +198,30 @@ class Arm(StatedMechanism):
     def parents(self) -> Integers:
         """(n,) index of the joint whose link carries each joint, -1 for the base."""
         return joint_parents(len(self.joints), self.branches)
+
+    @property
+    def followers(self) -> Booleans:
+        """(n,) bool, the joints that follow others."""
+        return np.isin(np.arange(len(self.joints)), [one.joint for one in self.couplings])
+
+    @property
+    def coupled(self) -> Booleans:
+        """(n,) bool, the joints that follow others or lead them."""
+        return self.followers | np.isin(np.arange(len(self.joints)), [one.leader for one in self.couplings])
+
+    @property
+    def motion_by_command(self) -> Floats:
+        """(n, n) motion of the joints by commanded motion: 0 from followers, which their leaders move."""
+        return coupling_matrix(len(self.joints), self.couplings)
+
+    def with_followers(self, q: Floats) -> Floats:
+        """Joint values (..., n) rad or m with those of followers as their leaders have them."""
+        if not self.couplings:
+            return q
+        out = np.array(q, float)
+        for one in self.couplings:
+            out[..., one.joint] = one.multiplier * out[..., one.leader] + one.offset
+        return out
 
     @property
     def moving(self) -> Booleans:

@@ -20,7 +20,7 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
 from rig.model.mechanisms.best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_redundant
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant
 from rig.planning.configuration_generators import (
     FILL,
     divided_grid_configurations,
@@ -137,8 +137,13 @@ def build_plan(
 
 
 def nearest_compatible_commands(values: Floats, design: Design) -> Floats:
-    """Commands (n, axes) that agree: themselves, or of more than six struts the nearest that close on a pose."""
+    """Commands (n, axes) that agree: themselves, or of more than six struts the nearest that close on a pose.
+
+    Joints that follow others are commanded as their leaders have them.
+    """
     m = design.mechanism
+    if has_links(m):
+        return m.with_followers(values)
     return nearest_compatible_strut_lengths(values, m) if is_redundant(m) else values
 
 

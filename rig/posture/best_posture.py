@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_one_hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
@@ -126,6 +126,7 @@ def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
         the measure that is wanted; Unreachable for a pose that no joint values give
     """
     require_one_hand(arm, "postures are searched")
+    require_no_couplings(arm, "postures are searched")
     return (_best_searched if options.recording is None else _best_visited)(arm, options)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_one_hand
 from rig.model.design import Design
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
@@ -134,6 +134,7 @@ def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = Wrenc
     design, dynamics = load_arm_dynamics(arm_path)
     arm = require_arm(design.mechanism)
     require_one_hand(arm, "a wrench is estimated")
+    require_no_couplings(arm, "a wrench is estimated")
     if options.sigma is not None:
         torque, angle, speed = (np.full(len(arm.axes), value) for value in options.sigma)
         dynamics = replace(dynamics, torque_sigma=torque, angle_sigma=angle, speed_sigma=speed)

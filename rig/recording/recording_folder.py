@@ -17,6 +17,7 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
+from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilt_sensors import (
     GRAVITY,
@@ -26,7 +27,8 @@ from rig.model.base_and_link_tilt_sensors import (
     times_resampled_for_small_tilt_steps,
 )
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import target_bodies
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, target_bodies
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS, Exposures, UnreadableImage, load_exposures
 from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
@@ -298,7 +300,26 @@ def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOri
             len(rows) - 1,
             "t",
         )
-    return Commands(t, rows.matrix(design.mechanism.axes))
+    values = rows.matrix(design.mechanism.axes)
+    if has_links(design.mechanism):
+        require_followers_as_leaders_have_them(rows, values, design.mechanism)
+    return Commands(t, values)
+
+
+def require_followers_as_leaders_have_them(rows: Table, values: Floats, arm: Arm) -> None:
+    """Raise FileError for a row of commanded values (n, axes) in which a joint is not where its leader has it."""
+    off = np.abs(arm.with_followers(values) - values)
+    for i, j in np.argwhere(off > COUPLED)[:1].tolist():
+        one = next(one for one in arm.couplings if one.joint == j)
+        rows.fail(
+            f"joint {j + 1} follows joint {one.leader + 1}, and is {off[i, j]:.3g} {mechanisms.axis_units(arm)[j]} off "
+            f"{one.multiplier:.6g} times it {one.offset:+.6g}: [[mechanism.coupling]] in rig.toml states that",
+            i,
+            arm.axes[j],
+        )
+
+
+COUPLED = 1e-3  # m or rad, by which a follower's value may miss its leader's
 
 
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:

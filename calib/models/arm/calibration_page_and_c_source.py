@@ -46,6 +46,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.errors import RigError
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import hand_motion_direction_counts
 from rig.recording.recording_folder import Recording
@@ -193,6 +194,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
             "maps in pose space are not in an arm's C file: use `rig correct` or `rig correct serve`, or make the "
             "pass over configurations"
         )
+    require_no_couplings(correction.nominal, "the correction is written as C")
     nominal, fitted = correction.nominal, correction.fitted
     axes = len(nominal.joints)
     call = replace(CALL, prototype=CALL.prototype.format(axes))

@@ -86,7 +86,7 @@ class ArmCorrection(Correction[Arm, Profile]):
     @property
     def deficient(self) -> bool:
         """Whether the arm has too few joints to take any pose."""
-        return int(self.nominal.moving.sum()) < deficient.WHOLE
+        return int((self.nominal.moving & ~self.nominal.followers).sum()) < deficient.WHOLE
 
     def of_hand(self, hand: str | int) -> Self:
         """The correction of one of an arm's several hands, by name or number; the joints of others stand at home."""

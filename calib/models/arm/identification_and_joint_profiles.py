@@ -78,7 +78,7 @@ def independent_arm_parameter_mask(arm: Arm, observation_kind: str) -> Booleans:
     row's two axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them
     is undefined.
     """
-    if arm.slides.any() or arm.hands or observation_kind in ("orientation", "direction"):
+    if arm.slides.any() or arm.hands or arm.couplings or observation_kind in ("orientation", "direction"):
         return error_model_and_observations.generally_independent_parameters(arm, observation_kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)

@@ -117,7 +117,8 @@ def link_rotation_jacobian_by_joints(readings: TiltReadings, q: Floats, arm: Arm
     In rad per rad of each joint.
     """
     z = np.swapaxes(mechanism.link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
-    return np.stack([z * (np.arange(len(arm.joints)) < sensor.link) for sensor in readings.sensors], axis=1)
+    by_command = arm.motion_by_command
+    return np.stack([z * (np.arange(len(z[0, 0])) < one.link) @ by_command for one in readings.sensors], axis=1)
 
 
 def planned_tilt_jacobian(

@@ -29,7 +29,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.arm_hands_effect_places_and_tolerances import Hand
+from rig.model.arm_hands_effect_places_and_tolerances import Coupling, Hand
 from rig.model.mechanism_geometry_classes import Arm, Hexapod
 from rig.model.pose import pose
 
@@ -50,6 +50,7 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
         f"<robot name={quoteattr(name)}>",
         *[f"  <link name={quoteattr(link)}/>" for link in (*links, *(hand.name for hand in hands))],
     ]
+    followed = {one.joint: one for one in arm.couplings}
     ends = [arm.base]  # of the base and of each link, in the frame in which a joint behind it is stated
     for i, (axis, (low, high), parent) in enumerate(zip(arm.axes, arm.limits, arm.parents.tolist())):
         theta, d, a, alpha, beta = arm.rows[i]
@@ -62,6 +63,7 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
             f"    {origin_element(behind * pose([0, 0, 0], [0, 0, theta]))}",
             '    <axis xyz="0 0 1"/>',
             f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>',
+            *([_mimic_element(followed[i], arm)] if i in followed else []),
             "  </joint>",
         ]
         ends.append(pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0]))
@@ -74,6 +76,11 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
             "  </joint>",
         ]
     return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def _mimic_element(coupling: Coupling, arm: Arm) -> str:
+    by = f'multiplier="{coupling.multiplier:.16g}" offset="{coupling.offset:.16g}"'
+    return f'    <mimic joint="{arm.axes[coupling.leader]}" {by}/>'
 
 
 def origin_element(T: RigidTransform) -> str:

@@ -17,6 +17,7 @@ from rig.formats.importers.tables_of_joints import (
     load_product_of_exponentials_table,
 )
 from rig.formats.importers.urdf_hands_and_dh_rows_of_joint_axes import (
+    couplings_and_limits_of_joints,
     denavit_hartenberg_rows_of_joint_axes,
     urdf_arm_with_several_hands,
 )
@@ -79,7 +80,7 @@ class ReadArm:
 
 
 def _branch_and_hand_tables(arm: Arm) -> list[str]:
-    """Lines of the tables of an arm's branches and hands; none of an arm with one hand."""
+    """Lines of the tables of an arm's branches, hands and couplings; none of an arm with one hand and none coupled."""
     out: list[str] = []
     for branch in arm.branches:
         out += ["", "[[mechanism.branch]]", f"joint = {branch.joint + 1}", f"parent = {branch.parent + 1}"]
@@ -87,6 +88,9 @@ def _branch_and_hand_tables(arm: Arm) -> list[str]:
     for hand in arm.hands:
         out += ["", "[[mechanism.hand]]", f"name = {json.dumps(hand.name)}", f"joint = {hand.joint + 1}"]
         out += [] if _is_identity(hand.tool) else [f"tool = {_pose(hand.tool)}"]
+    for one in arm.couplings:
+        out += ["", "[[mechanism.coupling]]", f"joint = {one.joint + 1}", f"leader = {one.leader + 1}"]
+        out += [f"multiplier = {one.multiplier!r}", f"offset = {one.offset!r}"]
     return out
 
 
@@ -167,12 +171,14 @@ def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = Non
     chain = load_joint_chain(path, tips[0] if tips else None, root)
     placed = denavit_hartenberg_rows_of_joint_axes(*chain.axes_at_zero())
     moving = chain.moving
+    couplings, limits = couplings_and_limits_of_joints(path, moving)
     arm = Arm(
         placed.rows,
-        np.array([joint.limits for joint in moving]),
+        limits,
         placed.base,
         placed.tool,
         np.array([joint.kind == "prismatic" for joint in moving]),
+        couplings=couplings,
     )
     source = f"{path.name}, link {chain.root} to link {chain.tip}"
     lines = (*(joint.line_of_text for joint in chain.joints), *chain.remarks)

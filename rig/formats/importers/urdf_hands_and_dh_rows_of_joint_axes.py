@@ -14,7 +14,7 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError
 from rig.formats.checked_entries import name_problem
 from rig.formats.importers.urdf_joint_chain import JointChain, UrdfJoint, load_joint_chain
-from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.arm import joint_frames, link_transform
 from rig.model.pose import pose
@@ -144,11 +144,51 @@ def urdf_arm_with_several_hands(
     points, directions, T = chains[0].axes_at_zero()
     placed = denavit_hartenberg_rows_of_joint_axes(points, directions, T)
     first = chains[0].moving
-    arm = Arm(placed.rows, _limits(first), placed.base, placed.tool, _slides(first))
+    arm = Arm(placed.rows, _stated_limits(first), placed.base, placed.tool, _slides(first))
     names, hands = [joint.name for joint in first], [Hand(tips[0], len(first) - 1, placed.tool)]
     for chain in chains[1:]:
         arm = _with_hand(arm, chain, names, hands)
-    return replace(arm, hands=tuple(hands)), chains
+    joints = {joint.name: joint for chain in chains for joint in chain.moving}
+    couplings, limits = couplings_and_limits_of_joints(path, tuple(joints[name] for name in names))
+    return replace(arm, hands=tuple(hands), couplings=couplings, limits=limits), chains
+
+
+def couplings_and_limits_of_joints(path: Path, joints: tuple[UrdfJoint, ...]) -> tuple[tuple[Coupling, ...], Floats]:
+    """(Couplings of joints that mimic others, limits (n, 2) rad or m) of a URDF's moving joints.
+
+    A joint that mimics a follower follows its leader. A leader's limits are narrowed to where its followers are within
+    theirs. Raises FileError for a leader that is not among the joints, joints that follow each other, and limits that
+    leave a leader no travel
+    """
+    names, limits = [joint.name for joint in joints], _stated_limits(joints)
+    out = []
+    for k, joint in enumerate(joints):
+        if joint.mimicked is None:
+            continue
+        leader, multiplier, offset = joint.mimicked
+        passed = [joint.name]
+        while True:
+            if leader not in names:
+                raise FileError(
+                    path,
+                    f"joint {joint.name!r} follows {leader!r} (mimic), which does not move between root and tip: name "
+                    "links with --root and --tip that take it in, or write the joint as fixed",
+                    joint.line,
+                )
+            if leader in passed:
+                raise FileError(path, f"joint {joint.name!r} follows itself (mimic), by {leader!r}", joint.line)
+            above = joints[names.index(leader)].mimicked
+            if above is None:
+                break
+            passed.append(leader)
+            leader, multiplier, offset = above[0], multiplier * above[1], multiplier * above[2] + offset
+        at = names.index(leader)
+        ends = np.sort((limits[k] - offset) / multiplier)
+        limits[at] = max(limits[at, 0], ends[0]), min(limits[at, 1], ends[1])
+        if not limits[at, 0] < limits[at, 1]:
+            raise FileError(path, f"the limits of joint {joint.name!r} leave its leader {leader!r} none", joint.line)
+        out.append(Coupling(k, at, multiplier, offset))
+    return tuple(out), limits
 
 
 def _with_hand(arm: Arm, chain: JointChain, names: list[str], hands: list[Hand]) -> Arm:
@@ -172,13 +212,13 @@ def _with_hand(arm: Arm, chain: JointChain, names: list[str], hands: list[Hand])
     return replace(
         arm,
         joints=np.concatenate([arm.rows, rows.rows]),
-        limits=np.concatenate([arm.limits, _limits(own)]),
+        limits=np.concatenate([arm.limits, _stated_limits(own)]),
         slides=np.concatenate([arm.slides, _slides(own)]),
         branches=(*arm.branches, branch),
     )
 
 
-def _limits(joints: tuple[UrdfJoint, ...]) -> Floats:
+def _stated_limits(joints: tuple[UrdfJoint, ...]) -> Floats:
     return np.array([joint.limits for joint in joints], float)
 
 

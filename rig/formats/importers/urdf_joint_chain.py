@@ -46,7 +46,7 @@ class Element:
 class UrdfJoint:
     """A joint of a URDF. kind : of TYPES; parent, child : links; T : the child's frame in the parent's at 0
     axis : (3,) of length 1, in the child's frame; limits : rad or m, None of a joint that does not move
-    mimicked : joint that it follows, or None; line : of the file
+    mimicked : joint that it follows, or None, with multiplier and offset (rad, m); line : of the file
     """
 
     name: str
@@ -56,7 +56,7 @@ class UrdfJoint:
     T: RigidTransform
     axis: Floats
     limits: tuple[float, float] | None
-    mimicked: str | None
+    mimicked: tuple[str, float, float] | None
     line: int
 
     @property
@@ -64,6 +64,11 @@ class UrdfJoint:
         """What was read of it, in a line."""
         if self.limits is None:
             return f"read joint {self.name}: fixed, part of the geometry"
+        if self.mimicked is not None:
+            leader, multiplier, offset = self.mimicked
+            by = f"{multiplier:.6g} x {leader} {'-' if offset < 0 else '+'} "
+            by += f"{abs(offset) * 1e3:.6g} mm" if self.kind == "prismatic" else f"{abs(np.degrees(offset)):.6g} deg"
+            return f"read joint {self.name}: {self.kind}, follows {leader} (mimic): {by}"
         stated = "turns without end; limits assumed" if self.kind == "continuous" else "limits"
         return f"read joint {self.name}: {self.kind}, {stated} {limits_text(self.limits, self.kind == 'prismatic')}"
 
@@ -268,15 +273,6 @@ def _joint(path: Path, one: Element, links: dict[str, int]) -> UrdfJoint:
         )
     if kind in ("floating", "planar"):
         _fail(path, one, f"is {kind}, which an arm cannot state; name links with --root and --tip that leave it out")
-    mimic = one.first("mimic")
-    mimicked = None if mimic is None else _text(path, mimic, "joint")
-    if mimicked is not None and kind in MOVING:
-        _fail(
-            path,
-            one,
-            f"follows joint {mimicked!r} (mimic), which an arm cannot state; name links with --root and --tip that "
-            "leave it out",
-        )
     origin = one.first("origin")
     xyz, rpy = (_numbers(path, one, origin, key, (0.0, 0.0, 0.0)) for key in ("xyz", "rpy"))
     if np.abs(xyz).max() > LARGEST_RIG:
@@ -294,9 +290,22 @@ def _joint(path: Path, one: Element, links: dict[str, int]) -> UrdfJoint:
         T,
         axis / length if length else axis,
         _limits(path, one, kind),
-        mimicked,
+        _mimicked(path, one) if kind in MOVING else None,
         one.line,
     )
+
+
+def _mimicked(path: Path, one: Element) -> tuple[str, float, float] | None:
+    """(joint that a joint follows, multiplier, offset rad or m), or None."""
+    mimic = one.first("mimic")
+    if mimic is None:
+        return None
+    multiplier, offset = (
+        float(_numbers(path, one, mimic, key, (default,))[0]) for key, default in (("multiplier", 1.0), ("offset", 0.0))
+    )
+    if not multiplier:
+        _fail(path, one, f"multiplier of <mimic>, line {mimic.line}, is 0: write the joint as fixed")
+    return _text(path, mimic, "joint"), multiplier, offset
 
 
 def _limits(path: Path, one: Element, kind: str) -> tuple[float, float] | None:

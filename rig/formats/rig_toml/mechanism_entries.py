@@ -14,7 +14,7 @@ from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, two_strut_plane_of_table
-from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand, hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand, coupling_matrix, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism_of_kinematics_file
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, target_bodies
@@ -65,11 +65,11 @@ def branches_of_tables(table: Entries, joint_count: int) -> tuple[Branch, ...]:
     return tuple(out)
 
 
-def _joint(table: Entries, least: int, joints: int) -> int:
+def _joint(table: Entries, least: int, joints: int, key: str = "joint") -> int:
     """Number of a joint, from `least`, of an arm with so many joints."""
-    number = table.whole("joint", least)
+    number = table.whole(key, least)
     if number > joints:
-        table.fail(f"{table.name('joint')}: there is no joint {number}, the arm has {joints}", "joint", value=number)
+        table.fail(f"{table.name(key)}: there is no joint {number}, the arm has {joints}", key, value=number)
     return number
 
 
@@ -102,13 +102,39 @@ def hands_of_tables(table: Entries, joint_count: int, branches: tuple[Branch, ..
     return tuple(out)
 
 
-def branch_and_hand_json(branches: tuple[Branch, ...], hands: tuple[Hand, ...]) -> Json:
-    """The tables of branches and hands as JSON holds them.
+def couplings_of_tables(table: Entries, is_prismatic: Booleans) -> tuple[Coupling, ...]:
+    """Couplings of a table [mechanism] of an arm whose joints are prismatic where is_prismatic (n,) is true.
 
-    The functions above read them; nothing of one hand.
+    Raises FileError for what couples nothing
     """
+    out: list[Coupling] = []
+    for one in table.tables("coupling"):
+        one.refuse_misspelt(("joint", "leader", "multiplier", "offset"))
+        joint, leader = (_joint(one, 1, len(is_prismatic), key) - 1 for key in ("joint", "leader"))
+        units = ["m" if slide else "rad" for slide in is_prismatic[[joint, leader]]]
+        multiplier = one.number("multiplier", 1.0) * one.units.per_si(units[1]) / one.units.per_si(units[0])
+        out.append(Coupling(joint, leader, multiplier, one.number("offset", 0.0, unit=units[0])))
+        try:
+            coupling_matrix(len(is_prismatic), tuple(out))
+        except ValueError as error:
+            one.fail(f"{one.name('joint')}: {error}", "joint")
+    return tuple(out)
+
+
+def branch_and_hand_json(arm: Arm) -> Json:
+    """The tables of branches, hands and couplings of an arm as JSON holds them.
+
+    The functions above read them; nothing of one hand without couplings.
+    """
+    coupled: Json = {}
+    if arm.couplings:
+        coupled["coupling"] = [
+            {"joint": c.joint + 1, "leader": c.leader + 1, "multiplier": c.multiplier, "offset": c.offset}
+            for c in arm.couplings
+        ]
+    branches, hands = arm.branches, arm.hands
     if not hands:
-        return {}
+        return coupled
     listed = []
     for hand in hands:
         one: Json = {"name": hand.name, "joint": hand.joint + 1, "tool": json_data(hand.tool)}
@@ -118,7 +144,7 @@ def branch_and_hand_json(branches: tuple[Branch, ...], hands: tuple[Hand, ...]) 
             one["centre_of_mass"] = hand.centre_of_mass.tolist()
         listed.append(one)
     stands = [{"joint": b.joint + 1, "parent": b.parent + 1, "mount": json_data(b.mount)} for b in branches]
-    return {"branch": stands, "hand": listed}
+    return {"branch": stands, "hand": listed, **coupled}
 
 
 FILE = "file:"  # before the name of a kinematics file
@@ -339,12 +365,21 @@ def _chain(table: Entries) -> Chain:
 
 
 def _arm(table: Entries) -> Arm:
-    table.refuse_misspelt(("kind", "joints", "limits", "base", "tool", "branch", "hand"))
+    table.refuse_misspelt(("kind", "joints", "limits", "base", "tool", "branch", "hand", "coupling"))
     joints, slides = joint_rows_and_kinds(table)
     stands = {key: table.pose(key) for key in Arm.placements if key in table.tree}
     branches = branches_of_tables(table, len(joints))
     hands = hands_of_tables(table, len(joints), branches)
-    return Arm(joints, joint_limits(table, slides), slides=slides, branches=branches, hands=hands, **stands)
+    couplings = couplings_of_tables(table, slides)
+    return Arm(
+        joints,
+        joint_limits(table, slides),
+        slides=slides,
+        branches=branches,
+        hands=hands,
+        couplings=couplings,
+        **stands,
+    )
 
 
 STAGES: dict[str, Callable[[Entries], Stage]] = {

@@ -52,6 +52,7 @@ def _links(q: Floats, arm: Arm) -> Floats:
             f"expected finite joint angles (..., {len(arm.joints)}) "
             f"{'rad or m' if arm.slides.any() else 'rad'}, got shape {q.shape}"
         )
+    q = arm.with_followers(q)
     links = link_transform(joint_values_with_zero_for_slides(q, arm), arm.rows.T)
     if arm.slides.any():
         links[..., 2, 3] += np.where(arm.slides, q, 0.0)
@@ -109,6 +110,7 @@ def hand_pose_of_each_row(q: Floats, arm: Arm, hand: Integers | None) -> RigidTr
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
     """Turn angles (..., n) rad of the joints at joint values q (..., n): the values themselves, 0 for slides."""
+    q = arm.with_followers(q)
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
 
@@ -167,6 +169,8 @@ def geometric_jacobian(frames: JointFrames, arm: Arm, output_axes: str = "platfo
     if output_axes == "platform":
         R = frames.tip[..., :3, :3]
         J = np.concatenate([J[..., :3] @ R, J[..., 3:] @ R], axis=-1)
+    if arm.couplings:
+        J = arm.motion_by_command.T @ J
     return np.swapaxes(J, -1, -2)
 
 
@@ -220,6 +224,8 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
         lever = o[:, links] - start[:, [j]]
         out[:, j, links, 0] = -np.einsum("mki,mi->mk", np.cross(lever, down[:, None]), z[:, j])
         out[:, j, links, 1:] = -np.einsum("mkai,mi->mka", tipped[:, links], z[:, j])
+    if arm.couplings:  # a leader bears what its followers bear, by their motion
+        out = np.einsum("ji,mjkc->mikc", arm.motion_by_command, out)
     return out.reshape(len(z), n, 4 * n)
 
 
@@ -245,7 +251,7 @@ def axis_deviation_and_sway_by_member_growth(
     frames, rows = joint_frames(q, arm), arm.rows
     before, turn = frames.before[..., :3, :], (joint_values_with_zero_for_slides(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
-    offset = rows[:, 1] + np.where(arm.slides, q, 0.0)
+    offset = rows[:, 1] + np.where(arm.slides, arm.with_followers(q), 0.0)
     moved = np.einsum("mn,mni->mi", share * arm.moving, offset[..., None] * before[..., 2] + rows[:, 2, None] * along)
     return np.zeros(share.shape), np.pad((moved[:, None] @ frames.tip[:, :3, :3])[:, 0], ((0, 0), (0, 3)))
 
@@ -336,13 +342,13 @@ def solve_inverse(
         better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
         best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]
         trying = np.where(arm.moving, rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape), guess)
-    return best.reshape(*shape, n), left.reshape(shape)
+    return arm.with_followers(best).reshape(*shape, n), left.reshape(shape)
 
 
 def nearest_equivalent_angles(q: Floats, arm: Arm, reference: Floats) -> Floats:
-    """Equivalent angles (..., n), by whole turns within the limits, nearest to a reference; slides unchanged."""
-    if arm.slides.any():
-        out, turning = np.array(q, float), ~arm.slides
+    """Equivalent angles (..., n), by whole turns in the limits, nearest to a reference; no slides, none coupled."""
+    if arm.slides.any() or arm.couplings:  # a whole turn of a leader is none of its followers
+        out, turning = np.array(arm.with_followers(q), float), ~arm.slides & ~arm.coupled
         near = np.broadcast_to(reference, out.shape)[..., turning]
         out[..., turning] = _equivalent_angles(out[..., turning], arm.limits[turning], near)
         return out

@@ -95,6 +95,8 @@ def closed_form_of_six_joint_arm(arm: Arm) -> SixJointArm:
 
     Raises RigError, with the misfit, for any other.
     """
+    if arm.couplings:
+        raise RigError(f"the closed form is for joints that move alone, and joint {arm.couplings[0].joint + 1} follows")
     if len(arm.joints) != 6:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
     if arm.slides.any():

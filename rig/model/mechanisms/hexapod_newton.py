@@ -79,6 +79,7 @@ def solve_by_least_squares(
     """(n, 4, 4) poses at which more than six struts of one stiffness balance, for lengths (n, struts) m: Gauss and
     Newton's steps, whose projection on the pose vanishes there. commanded : (..., struts) m, for messages
     observe : as of `solve_by_newton_with_pivots`
+    Raises NotConverged for lengths that hold no pose near the guess
     """
     matrix = np.array(np.broadcast_to(guess.as_matrix(), (*commanded.shape[:-1], 4, 4)).reshape(-1, 4, 4))
     left, going = np.full(len(matrix), np.inf), np.arange(len(matrix))

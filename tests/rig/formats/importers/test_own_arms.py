@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf import arm_urdf
 from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
+from rig.formats.numbers_and_units import parse_length_and_angle_units
 from rig.formats.rig_toml import design_from_rig_toml
+from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.mechanisms import arm as serial
 from rig.model.pose import pose
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design, shipped_arm_names
@@ -124,6 +126,36 @@ def test_what_is_read_of_each_joint_is_stated(tmp_path):
     assert "# q3: elbow" in found.rig_toml()
 
 
+COUPLED = robot(
+    ("turn", "revolute", "base", "l1", {"axis": (0, 0, 1), "xyz": (0, 0, 0.3)} | TURN),
+    ("shoulder", "revolute", "l1", "l2", {"axis": (0, 1, 0), "xyz": (0.1, 0, 0.1)} | TURN),
+    ("elbow", "revolute", "l2", "l3", {"axis": (0, 1, 0.1), "xyz": (0, 0, 0.4), "mimic": ("wrist", 2.0, 0.1)} | TURN),
+    ("reach", "prismatic", "l3", "l4", {"axis": (1, 0, 0), "limit": (-0.1, 0.3), "mimic": ("shoulder", 0.05)}),
+    ("wrist", "revolute", "l4", "l5", {"axis": (0, 1, 0), "xyz": (0.4, 0, 0), "mimic": ("shoulder", -0.8, 0.1)} | TURN),
+    ("flange", "revolute", "l5", "tool", {"axis": (1, 0, 0.2), "xyz": (0.1, 0.1, 0)} | TURN),
+)
+
+
+def test_joints_that_mimic_others_follow_their_leaders(tmp_path):
+    """Also one that mimics a follower, a slide that follows a joint that turns, and in a rig.toml in other units."""
+    found, arm = read(tmp_path, COUPLED)
+    agrees(COUPLED, found, arm, "tool")
+    assert [(one.joint, one.leader) for one in arm.couplings] == [(2, 1), (3, 1), (4, 1)]
+    assert found.lines[2] == "read joint elbow: revolute, follows wrist (mimic): 2 x wrist + 5.72958 deg"
+    assert found.lines[3] == "read joint reach: prismatic, follows shoulder (mimic): 0.05 x shoulder + 0 mm"
+    np.testing.assert_allclose(
+        arm.limits[1], [(0.3 - 2.0) / 1.6, 2.0], atol=1e-12
+    )  # in which the elbow is within its own
+    q = arm.with_followers(np.array([0.3, -0.4, 9.0, 9.0, 9.0, 0.2]))
+    np.testing.assert_allclose(q, [0.3, -0.4, 2 * 0.42 + 0.1, -0.02, 0.42, 0.2], atol=1e-15)
+    (tmp_path / "mm.toml").write_text(rig_toml_in_units(found.rig_toml(), parse_length_and_angle_units("mm,deg")))
+    again = design_from_rig_toml.load_design(tmp_path / "mm.toml").mechanism
+    assert "multiplier = 0.8726646" in (tmp_path / "mm.toml").read_text()  # mm/deg
+    for one in (again, read(tmp_path, arm_urdf(arm))[1]):
+        T = serial.forward(q, one).as_matrix()
+        np.testing.assert_allclose(T, serial.forward(q, arm).as_matrix(), rtol=0, atol=1e-8)
+
+
 SIX = robot(*[(f"j{k}", "revolute", f"l{k}", f"l{k + 1}", {"axis": (0, 0, 1)} | TURN) for k in range(3)])
 FORKED = robot(
     ("j0", "revolute", "base", "wrist", TURN),
@@ -161,8 +193,25 @@ FORKED = robot(
         (robot(("j", "revolute", "a", "b", {})), {}, "joint 'j': is revolute and has no <limit"),
         (
             robot(("j", "revolute", "a", "b", TURN), ("k", "revolute", "b", "c", {"mimic": "j"} | TURN)),
+            {"root": "b"},
+            r"joint 'k' follows 'j' \(mimic\), which does not move between root and tip",
+        ),
+        (
+            robot(
+                ("j", "revolute", "a", "b", {"mimic": "k"} | TURN), ("k", "revolute", "b", "c", {"mimic": "j"} | TURN)
+            ),
             {},
-            r"joint 'k': follows joint 'j' \(mimic\), which an arm cannot state",
+            r"follows itself \(mimic\)",
+        ),
+        (
+            robot(("j", "revolute", "a", "b", TURN), ("k", "revolute", "b", "c", {"mimic": ("j", 1.0, 9.0)} | TURN)),
+            {},
+            "leave its leader 'j' none",
+        ),
+        (
+            robot(("j", "revolute", "a", "b", TURN), ("k", "revolute", "b", "c", {"mimic": ("j", 0.0)} | TURN)),
+            {},
+            "multiplier of <mimic>, line .* is 0",
         ),
     ],
 )

@@ -23,7 +23,9 @@ def robot(*joints, links=None):
             low, high = given["limit"]
             lines.append(f'    <limit lower="{low}" upper="{high}" effort="1" velocity="1"/>')
         if "mimic" in given:
-            lines.append(f'    <mimic joint="{given["mimic"]}"/>')
+            leader, *numbers = given["mimic"] if isinstance(given["mimic"], tuple) else (given["mimic"],)
+            by = "".join(f' {key}="{value!r}"' for key, value in zip(("multiplier", "offset"), numbers))
+            lines.append(f'    <mimic joint="{leader}"{by}/>')
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>", ""])
 
@@ -34,13 +36,25 @@ def _words(values):
 
 def product(text, values, tip):
     """(4, 4) pose of a link in the root, from the text of a URDF and {joint: value}, by the specification alone."""
-    above = {joint.find("child").get("link"): joint for joint in ElementTree.fromstring(text).findall("joint")}
+    joints = ElementTree.fromstring(text).findall("joint")
+    above, named = ({key(joint): joint for joint in joints} for key in (_child, lambda joint: joint.get("name")))
+
+    def value_of(name):
+        mimic = named[name].find("mimic")
+        if mimic is None:
+            return values.get(name, 0.0)
+        return float(mimic.get("multiplier", 1)) * value_of(mimic.get("joint")) + float(mimic.get("offset", 0))
+
     M = np.eye(4)
     while tip in above:
         joint = above[tip]
-        M = _origin(joint) @ _motion(joint, values.get(joint.get("name"), 0.0)) @ M
+        M = _origin(joint) @ _motion(joint, value_of(joint.get("name"))) @ M
         tip = joint.find("parent").get("link")
     return M
+
+
+def _child(joint):
+    return joint.find("child").get("link")
 
 
 def _origin(joint):
