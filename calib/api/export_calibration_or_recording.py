@@ -24,9 +24,10 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
-from rig.model.mechanism_geometry_classes import Arm, Hexapod
+from rig.model.mechanism_geometry_classes import Arm, FileMechanism, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,
+    has_struts,
     is_redundant,
     require_arm,
     require_hexapod,
@@ -44,8 +45,8 @@ GEOMETRIES = {
     "genhexkins": ("hexapod",),
     "urdf": ("hexapod", "arm"),
     "sdf": ("hexapod",),
-    "json": ("hexapod", "arm"),
-    "csv": ("hexapod", "arm"),
+    "json": ("hexapod", "arm", "file"),
+    "csv": ("hexapod", "arm", "file"),
 }
 
 
@@ -160,8 +161,12 @@ def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
             else urdf_and_sdf.hexapod_urdf(require_hexapod_or_redundant_hexapod(mechanism), path.stem)
         ),
         "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod_or_redundant_hexapod(mechanism), path.stem),
-        "json": lambda: geometry_and_camera_files.geometry_json(_exported(mechanism)),
-        "csv": lambda: geometry_and_camera_files.geometry_csv(_exported(mechanism)),
+        "json": lambda: geometry_and_camera_files.geometry_json(
+            mechanism if isinstance(mechanism, FileMechanism) else _exported(mechanism)
+        ),
+        "csv": lambda: geometry_and_camera_files.geometry_csv(
+            mechanism if isinstance(mechanism, FileMechanism) else _exported(mechanism)
+        ),
     }[kind]()
     return ExportResult({"": text}, left_out=tuple(left_out))
 
@@ -191,6 +196,11 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
     mechanism = correction.nominal
     if mechanism.link_rows is not None:
         raise RigError(f"{kind} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
+    if kind == "linuxcnc-comp" and not has_struts(mechanism):
+        raise RigError(
+            f"{kind} is for struts, on top of the geometry that genhexkins has; of a kinematics file --format grid "
+            "writes the correction, --format json the parameters"
+        )
     parts = options.parts if options.parts is not None else 3 if kind == "grid" else 64
     most = 9 if kind == "grid" else geometry_and_camera_files.MOST - 1
     if not 1 <= parts <= most:
@@ -261,7 +271,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
-    """The mechanism, which has a geometry that can be written."""
+    """The mechanism, which has links or struts that can be written."""
     require_one_hand(mechanism, "geometry is exported")
     return (
         require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod_or_redundant_hexapod(mechanism)

@@ -1,9 +1,11 @@
 """The page on kinematics of one's own: its file is the example's, and its commands run."""
 
+import json
 import shutil
 
 import pytest
 
+from rig.formats.rig_toml.design_from_rig_toml import load_design
 from tests.cli import run
 from tests.conftest import ROOT
 
@@ -30,3 +32,12 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     assert "2 of 2 poses written" in output and "a machine of 3 axes cannot compensate every error" in output
     assert "8 iterations; settled at position (9.5981, 29.0407, 85.6340) mm" in output
     assert (tmp_path / "REC" / "delta.py").read_text() == (EXAMPLES / "delta.py").read_text()
+    names = load_design(tmp_path / "delta.toml").mechanism.stated.names
+    listed = run("export", "calibration.json", "--format", "csv", "--out", tmp_path / "delta.csv")
+    rows = [line.split(",") for line in (tmp_path / "delta.csv").read_text().splitlines()[1:]]
+    assert listed.returncode == 0 and tuple(row[0] for row in rows) == names
+    tree = json.loads(run("export", "calibration.json", "--format", "json").stdout)
+    assert [one["value"] for one in tree["parameters"]] == pytest.approx([float(row[3]) for row in rows], abs=1e-11)
+    assert any(one["value"] != one["stated"] for one in tree["parameters"])
+    said = run("export", "calibration.json", "--format", "linuxcnc-comp", "--out", tmp_path / "comp", ok=False).stderr
+    assert "is for struts" in said

@@ -15,13 +15,14 @@ LinuxCNC, INI configuration, [JOINT_n] COMP_FILE
 
 import json
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import Camera
-from rig.model.mechanism_geometry_classes import Arm, Hexapod
+from rig.model.mechanism_geometry_classes import Arm, FileMechanism, Hexapod
 from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_entry, pose_to_vector
@@ -38,12 +39,23 @@ HEXAPOD = (
     "shortest",
     "longest",
 )
+PARAMETER = ("parameter", "unit", "stated", "value")
 ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides")
 
 
-def geometry_json(mechanism: Hexapod | Arm) -> str:
-    """Geometry of a Hexapod or an Arm as JSON."""
-    if is_hexapod(mechanism):
+def _parameter_rows(mechanism: FileMechanism) -> list[tuple[str, str, float, float]]:
+    """(name, unit, as the owner states it, value) of each parameter of a kinematics file, m or rad."""
+    stated = mechanism.stated
+    return list(zip(stated.names, stated.units, stated.nominal.tolist(), mechanism.parameters.tolist()))
+
+
+def geometry_json(mechanism: Hexapod | Arm | FileMechanism) -> str:
+    """Geometry of a Hexapod or an Arm, or the parameters of a kinematics file by name, as JSON."""
+    tree: Json
+    if isinstance(mechanism, FileMechanism):
+        rows = (dict(zip(PARAMETER, row)) for row in _parameter_rows(mechanism))
+        tree = {"file": Path(mechanism.file).name, "sha256": mechanism.stated.sha256, "parameters": list(rows)}
+    elif is_hexapod(mechanism):
         tree = {
             name: getattr(mechanism, name).tolist()
             for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")
@@ -63,11 +75,14 @@ def geometry_json(mechanism: Hexapod | Arm) -> str:
     return json.dumps({"schema": "geometry/1", "kind": mechanism.kind, "units": "m, rad", **tree}, indent=1) + "\n"
 
 
-def geometry_csv(mechanism: Hexapod | Arm) -> str:
+def geometry_csv(mechanism: Hexapod | Arm | FileMechanism) -> str:
     """Geometry as CSV.
 
-    A row per strut of a Hexapod, a row per joint of an Arm.
+    A row per strut of a Hexapod, a row per joint of an Arm, a row per parameter of a kinematics file.
     """
+    if isinstance(mechanism, FileMechanism):
+        lines = [f"{name},{unit},{old:.12f},{new:.12f}" for name, unit, old, new in _parameter_rows(mechanism)]
+        return "\n".join([",".join(PARAMETER), *lines]) + "\n"
     header: tuple[str, ...]
     parts: Iterable[tuple[Floats, ...]]
     if is_hexapod(mechanism):

@@ -53,9 +53,9 @@ def rig_toml_in_units(text: str, units: LengthAndAngleUnits) -> str:
         for index in map(tuple, np.argwhere(factors != 1).tolist()):
             above, key = (*path, *index)[:-1], (*path, *index)[-1]
             reduce(getitem, above, document)[key] = float(f"{value[index] * factors[index]:.{DIGITS}g}")
-    for table, one in zip(document["mechanism"].get("coupling", ()), getattr(mechanism, "couplings", ())):
+    for k, one in enumerate(mechanism.couplings if has_links(mechanism) else ()):
         joint, leader = (units.per_si(axis_units(mechanism)[k]) for k in (one.joint, one.leader))
-        table["multiplier"] = float(f"{one.multiplier * joint / leader:.{DIGITS}g}")
+        document["mechanism"]["coupling"][k]["multiplier"] = float(f"{one.multiplier * joint / leader:.{DIGITS}g}")
     schema = next(line for line in document.as_string().split("\n") if line.startswith("schema"))
     return document.as_string().replace(schema, f'{schema}\nunits = "{units}"', 1)
 

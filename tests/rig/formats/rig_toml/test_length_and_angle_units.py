@@ -53,7 +53,7 @@ def in_mm(tree, path=()):
     """A table of rig.toml in mm and deg, by the units that the docstrings state."""
     kind = tree.get("kind", "")
     if path[:1] == ("mechanism",) and kind != "free":
-        of_rows = path[-1] in ("joints", "branch", "hand")
+        of_rows = path[-1] in ("joints", "branch", "hand", "coupling")
         heading = f"[[mechanism.{path[-1]}]]" if of_rows else f'[mechanism] kind = "{kind}"'
     else:
         heading = next((h for h in (f"[{'.'.join(path)}]", f"[[{'.'.join(path)}]]") if h in rig_toml.TABLES), None)
