@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_option_values import parse_numbers
+from rig.cli.shared.argument_parser_and_option_values import parse_numbers, quantity_parser
 from rig.cli.shared.common_options import (
     add_json_option,
     add_overwrite_option,
@@ -48,6 +48,14 @@ def arguments(parser: ArgumentParser) -> None:
         type=Path,
         help="compare the postures that the arm took in this recording with the hand "
         "there, and return to the best along the recorded path; by default with the hand as at its first exposure",
+    )
+    parser.add_argument(
+        "--sweep",
+        metavar="10deg",
+        type=quantity_parser("rad", "rad"),
+        help="search nothing: visit the self-motion from end to end with the fastest joint in steps of at most this (a "
+        "plain number is in rad, of slides m), and write it to --out as a plan commands:FILE, whose recording --among "
+        "compares; through --from, by default through a solution of --pose; it takes --hold alone beside",
     )
     parser.add_argument(
         "--force-axes",
@@ -99,7 +107,10 @@ def arguments(parser: ArgumentParser) -> None:
         "--speed", type=parse_number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out"
     )
     parser.add_argument(
-        "--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture"
+        "--out",
+        metavar="FILE",
+        type=file_or_stdout,
+        help="commands.csv of the motion into the posture; with --sweep frame,q1..qn of the sweep",
     )
     add_overwrite_option(parser, "--overwrite")
     add_json_option(parser)
@@ -134,7 +145,7 @@ def run(arguments: Namespace) -> None:
     from rig.formats.rig_toml import arm_dynamics_entries
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
     from rig.planning.layout import shipped_arms_and_layouts
-    from rig.posture.best_posture import best_posture
+    from rig.posture.best_posture import best_posture, posture_sweep
 
     path = shipped_arms_and_layouts.shipped_arm_path(arguments.arm)
     design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
@@ -142,6 +153,11 @@ def run(arguments: Namespace) -> None:
     options = _options(arguments, arm, _exertion(arguments, arm, dynamics, design.gravity, path))
     arguments.outputs.inputs.append(path)
     out, draw = (arguments.outputs.file(name) if name else None for name in (arguments.out, arguments.draw))
+    if arguments.sweep is not None:
+        sweep = posture_sweep(arm, options, arguments.sweep)
+        if out:
+            sweep.write(out)
+        return print_json(sweep.tree()) if arguments.json else print(sweep)
     result = best_posture(arm, options)
     if out:
         result.write(out)

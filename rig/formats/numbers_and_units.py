@@ -68,7 +68,7 @@ def parse_numbers(texts: Iterable[str]) -> list[float]:
 
 SUFFIXES = {
     "m": {"um": 1e6, "mm": 1e3, "m": 1.0},
-    "rad": {"urad": 1e6, "arcsec": 648000 / math.pi, "mrad": 1e3, "rad": 1.0},
+    "rad": {"urad": 1e6, "arcsec": 648000 / math.pi, "mrad": 1e3, "deg": 180 / math.pi, "rad": 1.0},
     "m/s": {"um/s": 1e6, "mm/s": 1e3, "m/s": 1.0},
 }  # {SI unit: {unit after a number: how many make an SI unit}}; to divide by them rounds once
 _QUANTITY = re.compile(r"(.*?[0-9.])([a-zµμ]+(?:/s)?)?")

@@ -25,12 +25,14 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
     weakest_force_and_direction,
 )
 from rig.posture.null_space_search import SearchResult
+from rig.posture.self_motion_sweep import PostureSweep, sweep_self_motion
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import write_table
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
 SEED = 0
+HAND_THERE = 1e-6  # m and rad, by which the hand may be off where it is stated to be
 Objective = TransmissionObjective | ExertionObjective
 
 
@@ -130,6 +132,22 @@ def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
     return (_best_searched if options.recording is None else _best_visited)(arm, options)
 
 
+def posture_sweep(arm: Arm, options: PostureOptions, step: float) -> PostureSweep:
+    """PostureSweep of an arm, as `rig arm posture --sweep` makes it, through the start or a solution of the hand's pose.
+
+    options : T_base_hand, fixed and start count; step : rad, of slides m, of the fastest joint
+    Raises RigError for what is of a search, for a hand that is elsewhere than stated, and what the sweep raises;
+        Unreachable for a pose that no joint values give
+    """
+    start, wanted = options.start, options.T_base_hand
+    search = (options.recording, options.above, options.exertion, options.objective.directions or None)
+    if wanted is None or options.during_hand_motion or any(one is not None for one in search):
+        raise RigError("--sweep visits all postures and searches none; it takes --pose, --hold and --from alone")
+    if start is not None and np.abs(pose_difference(mechanism.forward(start, arm), wanted)).max() > HAND_THERE:
+        raise RigError("--from has another hand pose than --pose, whose self-motion is swept")
+    return sweep_self_motion(mechanism.inverse(wanted, arm) if start is None else start, arm, step, options.fixed)
+
+
 def _best_visited(arm: Arm, options: PostureOptions) -> PostureResult:
     """The best of the postures of a recording, and the motion back to it."""
     recording, objective = options.recording, options.maximised
@@ -154,7 +172,7 @@ def _best_searched(arm: Arm, options: PostureOptions) -> PostureResult:
     """The best posture that the searches find, and the motion into it."""
     wanted, now, objective = options.T_base_hand, options.start, options.maximised
     assert wanted is not None
-    arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
+    arrived = now is not None and np.abs(pose_difference(mechanism.forward(now, arm), wanted)).max() < HAND_THERE
     if now is not None and not arrived and not options.during_hand_motion:
         raise RigError(
             "--from has another hand pose than --pose: bring it there first, or take the posture on the way "
