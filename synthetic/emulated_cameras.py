@@ -23,7 +23,7 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import transform_points
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Commands, Sensors
@@ -293,7 +293,7 @@ def _serve_emulated_cameras(
         require_renderable(secret.effects)
         import_pyrender_without_viewer()
         clock, images = SystemClock(), Images(stated.sensor)
-        home = home_lengths(require_struts(stated.mechanism))
+        home = home_lengths(require_axes(stated.mechanism))
         at_home = EmulatedCameras(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)
         for camera in secret.true.cameras:  # what is compiled and loaded for the first pictures is not waited for later
             at_home.image(camera.name, 1.0, USUAL)

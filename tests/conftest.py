@@ -130,7 +130,7 @@ def driven_design(design):
         (),
         homing=True,
         zero=home_lengths(design.mechanism),
-        home=None,
+        home=home_lengths(design.mechanism),
         max_speed=np.full(6, 0.01),
         max_acceleration=np.full(6, 0.1),
         tolerance=1e-5,

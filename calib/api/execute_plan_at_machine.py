@@ -24,6 +24,7 @@ from calib.online.run_options_cameras_sensors_and_observer import (
 )
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check
+from rig.driving.axis_units_and_distances import axes_word, thousandths_name
 from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import TRUST, ControllerStatus, require_goals_within_limits
@@ -37,7 +38,6 @@ from rig.driving.run_steps_and_progress import (
     check_steps,
     lost_position_reason,
     progress_from_journal,
-    step_distances,
     steps_exposed_during_motion,
     steps_of_plan,
 )
@@ -49,7 +49,7 @@ from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml.design_from_rig_toml import load_entries
 from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.planning.plan import build_plan
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
@@ -73,12 +73,21 @@ class PlannedRun:
         """How many frames are taken at rest; 0 in motion, where cameras expose for as long as the moves take."""
         return sum(step.frames for step in self.steps)
 
-    def distances(self) -> Floats:
-        """(steps,) m that the busiest strut goes from home on. Raises Unreachable where the driver would refuse one"""
+    def travel(self) -> Floats:
+        """(steps, axes) m or rad that each axis goes from home on. Raises Unreachable where the driver would refuse
+        one
+        """
         c = self.design.driver()
-        start = c.home if c.home is not None else home_lengths(require_struts(self.design.mechanism))
+        start = c.home if c.home is not None else home_lengths(require_axes(self.design.mechanism))
         check_steps(self.steps, start, move_checker(self.design))
-        return step_distances(self.steps, start)
+        return np.diff(np.array([start, *(step.goal for step in self.steps)]), axis=0)
+
+    def seconds(self) -> float:
+        """How long the moves take from home on, without ramps. Raises Unreachable as `travel` does."""
+        travel = np.abs(self.travel())
+        if self.options.in_motion is not None:
+            return float(travel.max(axis=1).sum() / self.options.in_motion)
+        return float((travel / self.design.driver().max_speed).max(axis=1).sum())
 
     def controller_warnings(self, driver: Driver) -> list[str]:
         """Lines where the controller's own limits are tighter than the rig.toml's. Raises Unreachable where it would
@@ -87,7 +96,7 @@ class PlannedRun:
         own = driver.limits()
         if own is not None:
             goals = np.array([step.goal for step in self.steps])
-            require_goals_within_limits(own, goals, self.design.driver().zero)
+            require_goals_within_limits(own, goals, self.design.driver().zero, require_axes(self.design.mechanism))
         return driver.limit_warnings()
 
     def compare_with_controller(self) -> list[str]:
@@ -181,18 +190,20 @@ class PlannedRun:
         Raises PositionLost where nobody knows where they stand, ControllerFault for an alarm that is not the one of a
         controller which must be homed first: homing out of it takes the operator's consent
         """
-        c, trust = self.design.driver(), self.options.trust_position
+        c, m, trust = self.design.driver(), self.design.mechanism, self.options.trust_position
         lost = (
             ""
             if before is None
-            else lost_position_reason(before, status.lengths, c.tolerance, driver.started_anew, c.homing)
+            else lost_position_reason(
+                before, status.lengths, c.tolerance, driver.started_anew, c.homing, thousandths_name(m)
+            )
         )
         if trust or (before is None and not c.homing and status.known):
             driver.trust()
         believed = trust or (status.known and not lost)
         homes = c.homing and not (trust if before is None else believed)
         if not homes and not believed:
-            raise PositionLost(f"{lost or 'the position of the struts is not known'}; {TRUST}")
+            raise PositionLost(f"{lost or f'the position of the {axes_word(m)} is not known'}; {TRUST}")
         if not homes:
             return False, status
         if (status.activity == "alarm" or status.fault) and not status.homing_required:
@@ -254,7 +265,7 @@ def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
 
     It takes start and goal, (axes,) m, and returns None.
     """
-    c, m = design.driver(), require_struts(design.mechanism)
+    c, m = design.driver(), require_axes(design.mechanism)
 
     def check(start: Floats, goal: Floats) -> None:
         move_profiles_and_path_check.require_safe_path(

@@ -194,6 +194,7 @@ class RunState:
     activity : "starting", "moving", "holding" (the struts are to rest) or "ended"; then : what comes next, in words
     events : the latest (s, in words); readings : {channel: value} of the sensors; shot : the latest frame, measured or
         not, None before the first; question : (frame, in words) that the operator is asked, None for nothing
+    axes : place and unit, "m" or "rad", of each axis, () for struts
     """
 
     phase: str
@@ -214,6 +215,12 @@ class RunState:
     readings: dict[str, float] = field(default_factory=dict)
     shot: RecordedFrame | None = None
     question: tuple[int, str] | None = None
+    axes: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def places_and_units(self) -> tuple[tuple[str, str], ...]:
+        """(place, "m" or "rad") of each axis."""
+        return self.axes or tuple((f"strut {i + 1}", "m") for i in range(len(self.lengths)))
 
 
 class RunStateChanges(TypedDict, total=False):
@@ -239,11 +246,11 @@ class RunStateChanges(TypedDict, total=False):
     question: tuple[int, str] | None
 
 
-def journal_row_in_words(row: Row) -> str:
-    """A row for the log of a display; "" for what is no event."""
+def journal_row_in_words(row: Row, unit: str = "mm") -> str:
+    """A row for the log of a display; "" for what is no event. unit : name of a thousandth of the axes' m or rad"""
     if isinstance(row, Departure):
         far = max(abs(goal - start) for goal, start in zip(row.goal, row.start))
-        return f"to step {row.step + 1}, {far * 1e3:.1f} mm"
+        return f"to step {row.step + 1}, {far * 1e3:.1f} {unit}"
     if isinstance(row, Arrival):
         return f"at step {row.step + 1}" if row.reached else f"not at step {row.step + 1}"
     if isinstance(row, Exposed):

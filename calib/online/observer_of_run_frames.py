@@ -28,6 +28,7 @@ from calib.online.live_learner_and_run_state import (
 )
 from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import thousandths_name
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import (
@@ -46,7 +47,7 @@ from rig.driving.run_steps_and_progress import Step, step_distances
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.planning.plan import axis_strokes
 from vision.reading.live_measurement_and_corner_refit import Live, Sight, sight_from_measuring_limbs
 from vision.reading.live_run_camera_and_marker_alarms import Alarm, Watch
 
@@ -84,6 +85,7 @@ class RunObserver:
         self.note: Callable[[str], None] = lambda text: (
             None
         )  # puts what is said on record; the operator's, once there is one
+        self._unit = thousandths_name(design.mechanism)
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if has_six_measuring_limbs(design) else None
         self._read: Floats | None = None
@@ -106,10 +108,11 @@ class RunObserver:
             float("nan"),
             start,
             start,
-            require_struts(design.mechanism).strut_range,
+            axis_strokes(design),
             (),
             None,
             None,
+            axes=tuple(zip(mechanisms.axis_place_texts(design.mechanism), mechanisms.axis_units(design.mechanism))),
         )
         self._lock = threading.RLock()
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -119,7 +122,7 @@ class RunObserver:
 
     def happened(self, row: Row) -> None:
         """A row is on disk."""
-        if text := journal_row_in_words(row):
+        if text := journal_row_in_words(row, self._unit):
             self.update(events=(*self.state.events[1 - LOGGED :], (row.t, text)))
         if isinstance(row, Departure):
             self._done += 1
@@ -164,7 +167,7 @@ class RunObserver:
         here = f"{frames} frame{'s' * (frames != 1)} there" if frames else ""
         if step + 1 == len(self._planned):
             return ", ".join(filter(None, (here, "the end")))
-        return ", ".join(filter(None, (here, f"step {step + 2} ({self._distances[step + 1] * 1e3:.1f} mm)")))
+        return ", ".join(filter(None, (here, f"step {step + 2} ({self._distances[step + 1] * 1e3:.1f} {self._unit})")))
 
     def ignore_limbs(self) -> None:
         """Compare no limbs with vision: in motion they are not read at the moment of the exposure."""

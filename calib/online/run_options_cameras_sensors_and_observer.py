@@ -19,6 +19,7 @@ from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, Live
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
+from rig.driving.axis_units_and_distances import thousandths_name
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras, set_exposure_for_markers
 from rig.driving.clock import Clock
@@ -34,7 +35,7 @@ from rig.formats.numbers_and_units import SI, LengthAndAngleUnits
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, is_hexapod, require_axes
 from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.corners.marker_detection_and_corner_fit import detect_markers
@@ -129,6 +130,8 @@ class RunOptions:
 
     def _refuse_unsuited_in_motion(self, design: Design) -> None:
         """Raise RigError for what takes struts at rest, or clocks that are known to agree."""
+        if "rad" in axis_units(design.mechanism):
+            raise RigError("--in-motion states a speed of struts or slides; this machine has joints that turn")
         if not self.uses_cameras(design):
             raise RigError("--in-motion exposes cameras during the moves, and this run has none")
         if any(camera.mount == "hand" for camera in design.cameras):
@@ -235,9 +238,10 @@ def open_sensors_and_assemble_equipment(
         sensing.read if sensing else None,
         sensing.limbs if sensing else None,
         interval,
-        ReadingForm(require_struts(design.mechanism), units, reading_sizes(design.instrument))
+        ReadingForm(require_axes(design.mechanism), units, reading_sizes(design.instrument))
         if settling.by == "ask"
         else None,
+        thousandths_name(design.mechanism),
     )
 
 

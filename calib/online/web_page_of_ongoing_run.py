@@ -14,6 +14,7 @@ from calib.online.live_learner_and_run_state import MeasuredFrame, RunState
 from calib.online.observer_of_run_frames import RunObserver
 from calib.report.pose_and_effect_figures import closed_outline_sorted_by_angle, fixed_rig_lines
 from rig.array_and_json_types import Floats, Integers, Json
+from rig.driving.axis_units_and_distances import SHOWN
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
@@ -93,13 +94,16 @@ class RunPage:
     def _event(self, state: RunState, history: list[Json]) -> Json:
         struts = [
             {
-                "low": low * 1e3,
-                "high": high * 1e3,
-                "at": at * 1e3,
-                "goal": goal * 1e3,
-                "room": min(at - low, high - at) * 1e3,
+                "low": low * SHOWN[unit][0],
+                "high": high * SHOWN[unit][0],
+                "at": at * SHOWN[unit][0],
+                "goal": goal * SHOWN[unit][0],
+                "room": min(at - low, high - at) * SHOWN[unit][0],
+                "unit": SHOWN[unit][1],
             }
-            for (low, high), at, goal in zip(state.ranges.tolist(), state.lengths.tolist(), state.goal.tolist())
+            for (_, unit), (low, high), at, goal in zip(
+                state.places_and_units, state.ranges.tolist(), state.lengths.tolist(), state.goal.tolist()
+            )
         ]
         T = state.seen.sight.T_base_platform if state.seen is not None else None
         return {

@@ -26,7 +26,8 @@ PROTOCOLS = (
     "struts",
     "epics",
     "epics-hexapod",
-)  # as rig.model.design
+    "urscript",
+)  # as rig.model.design has
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -71,16 +72,18 @@ def arguments(parser: ArgumentParser) -> None:
         type=parse_number,
         default=1.0,
         metavar="N",
-        help="struts N times as fast as [controller] states (default 1)",
+        help="axes N times as fast as [controller] states (default 1)",
     )
     parser.add_argument(
-        "--start", metavar="300mm,..", help="initial strut lengths; plain numbers are in m (default: home)"
+        "--start",
+        metavar="300mm,..",
+        help="initial strut lengths, or values of joints in rad; plain numbers are in m (default: home)",
     )
     parser.add_argument(
         "--history",
         metavar="FILE",
         type=Path,
-        help="write the true commands of the struts, as commands.csv, continuously",
+        help="write the true commands of the axes, as commands.csv, continuously",
     )
     parser.add_argument(
         "--cameras",
@@ -114,7 +117,7 @@ def run(arguments: Namespace) -> None:
     if arguments.fault == ["list"]:
         return _list_faults()
     if arguments.design is None:
-        raise RigError("rig emulate takes a RIG.toml, whose struts it emulates")
+        raise RigError("rig emulate takes a RIG.toml, whose axes it emulates")
     _emulate(arguments)
 
 
@@ -132,6 +135,7 @@ def _emulate(arguments: Namespace) -> None:
     from rig.driving.clock import SystemClock
     from rig.driving.emulators import controller_emulator_opening_and_ports
     from rig.driving.emulators.controller_emulator_opening_and_ports import emulator_of_rig_toml_controller
+    from rig.formats.rig_toml.design_from_rig_toml import load_design
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
@@ -149,7 +153,8 @@ def _emulate(arguments: Namespace) -> None:
         prefix="rig-emulate-"
     )  # of what the cameras follow, where nobody else wants it
     followed = arguments.history or (Path(scratch.name) / "history.csv" if arguments.cameras else None)
-    history = emulators.TrueCommandsLog(emulator, followed) if followed else None
+    names = load_design(arguments.design).mechanism.axes
+    history = emulators.TrueCommandsLog(emulator, followed, names) if followed else None
     cameras = _cameras(arguments, followed) if followed and arguments.cameras else None
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)

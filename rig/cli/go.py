@@ -84,10 +84,13 @@ def run(arguments: Namespace) -> None:
 
 
 def _print_plan(move: PoseMove) -> None:
-    """Print the lengths to command."""
-    from rig.cli.shared.run_display_and_controller_status import lengths_text
+    """Print the values to command."""
+    from rig.driving.axis_units_and_distances import values_text
 
-    print(f"to command: {lengths_text(move.lengths)}, which is {lengths_text(move.off_nominal)} off the nominal model")
+    m = move.design.mechanism
+    print(
+        f"to command: {values_text(move.lengths, m)}, which is {values_text(move.off_nominal, m)} off the nominal model"
+    )
 
 
 def _print_remainder(move: PoseMove) -> None:

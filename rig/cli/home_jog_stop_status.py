@@ -9,7 +9,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import quantity_parser, require_share_of_greatest_speed
+from rig.cli.shared.argument_parser_and_option_values import require_share_of_greatest_speed
 from rig.cli.shared.common_options import (
     add_controller_arguments,
     add_json_result_option,
@@ -53,14 +53,18 @@ def arguments_of_jog(parser: ArgumentParser) -> None:
         type=parse_whole_number,
         action="append",
         metavar="N",
-        help="1.. (may be repeated; by default all of them)",
+        help="strut, joint or slide, 1.. (may be repeated; by default all of them)",
     )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument(
-        "--by", type=quantity_parser("m", "mm"), metavar="3mm", help="longer by this amount (a plain number is in mm)"
+        "--by",
+        metavar="3mm",
+        help="longer, of joints further, by this amount (plain numbers are in mm, of joints in deg)",
     )
     where.add_argument(
-        "--to", metavar="300mm,..", help="to these lengths, one for every strut (plain numbers are in mm)"
+        "--to",
+        metavar="300mm,..",
+        help="to these lengths or angles, one for every axis (plain numbers are in mm, of joints in deg)",
     )
     add_speed_option(parser, 0.25)
     parser.add_argument(
@@ -80,6 +84,7 @@ def run_jog(arguments: Namespace) -> None:
 
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+    from rig.model.mechanisms import axis_units
 
     design = design_with_controller_port(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
@@ -89,6 +94,9 @@ def run_jog(arguments: Namespace) -> None:
     require_share_of_greatest_speed(arguments.speed)
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; omit --strut")
+    units, moves = axis_units(design.mechanism), np.isin(np.arange(1, count + 1), struts)
+    texts = arguments.to.split(",") if arguments.to else [arguments.by if one else "0" for one in moves]
+    goal = _values("--to" if arguments.to else "--by", texts, units)
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock:
             driver.unlock()
@@ -98,25 +106,22 @@ def run_jog(arguments: Namespace) -> None:
             raise PositionLost(
                 "the position of the struts is not known, and so not their remaining travel; home them, or use --trust"
             )
-        goal = (
-            _lengths(arguments.to, count)
-            if arguments.to
-            else driver.lengths() + arguments.by * np.isin(np.arange(1, count + 1), struts)
-        )
-        driver.move(goal, arguments.speed)
+        driver.move(goal if arguments.to else driver.lengths() + goal, arguments.speed)
         print_status(driver.status(), design)
 
 
-def _lengths(text: str, count: int) -> Floats:
-    """(count,) m of lengths separated by commas, in mm where they have no unit."""
+def _values(option: str, texts: list[str], units: tuple[str, ...]) -> Floats:
+    """(axes,) m or rad of texts, in mm or degrees where they have no unit. units : of the axes. Raises RigError."""
     import numpy as np
 
+    wanted = "lengths (um, mm, m) of struts and slides, angles (mrad, deg, rad) of joints"
+    plain = {"m": 1e3, "rad": 180 / np.pi}
     try:
-        values = np.array([parse_quantity(word, "m", 1e3) for word in text.split(",")])
-    except ValueError:
-        values = np.zeros(0)
-    if values.shape != (count,) or not np.isfinite(values).all():
-        raise RigError(f"--to takes {count} lengths separated by commas, with their unit or in mm, got {text!r}")
+        values = np.array([parse_quantity(text, unit, plain[unit]) for text, unit in zip(texts, units)])
+    except ValueError as error:
+        raise RigError(f"{option} takes {wanted}: {error}") from None
+    if len(texts) != len(units) or not np.isfinite(values).all():
+        raise RigError(f"{option} takes {len(units)} values separated by commas, got {','.join(texts)!r}")
     return values
 
 

@@ -39,7 +39,7 @@ def arguments(parser: ArgumentParser) -> None:
         required=True,
         help="the recording; a new folder, or with --resume the one to continue",
     )
-    parser.add_argument("--resume", action="store_true", help="resume REC from the current strut positions")
+    parser.add_argument("--resume", action="store_true", help="resume REC from the current positions")
     parser.add_argument(
         "--dry-run", action="store_true", help="check the plan, print what would be done, and move nothing"
     )
@@ -179,22 +179,22 @@ def _print_plan(planned: PlannedRun) -> None:
     """Check the whole plan from home and print what it would do."""
     import numpy as np
 
-    from rig.cli.shared.run_display_and_controller_status import lengths_text
+    from rig.driving.axis_units_and_distances import greatest_distance_text, values_text
 
-    steps, distances = planned.steps, planned.distances()
+    m, steps, travel = planned.design.mechanism, planned.steps, planned.travel()
     cameras = planned.design.cameras if planned.options.cameras else ()
     for k, step in enumerate(steps):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
         exposed = exposed if step.speed is None else "exposed on the way"
-        print(f"step {k + 1}: {lengths_text(step.goal)}, {distances[k] * 1e3:.1f} mm to go, {exposed}")
-    pixels, slowest = sum(camera.width * camera.height for camera in cameras), np.min(planned.design.driver().max_speed)
-    seconds = (distances / (planned.options.in_motion or slowest)).sum()
+        print(f"step {k + 1}: {values_text(step.goal, m)}, {greatest_distance_text(travel[k], m, 1)} to go, {exposed}")
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    seconds = planned.seconds()
     frames, most = planned.frames, ""
     if planned.options.in_motion is not None:
         frames, most = int(seconds / max(planned.options.interval, 1e-3)), "at most "
     print(
         f"{count_text(len(steps), 'step')}, {most}{count_text(frames, 'frame')} of "
-        f"{count_text(len(cameras), 'camera')}, {distances.sum() * 1e3:.0f} mm of the "
-        f"busiest strut, {seconds / 60:.1f} min of moving; at most "
+        f"{count_text(len(cameras), 'camera')}, {greatest_distance_text(np.abs(travel).sum(axis=0), m, 0)} of the "
+        f"busiest {'strut' if m.strut_joints is not None else 'axis'}, {seconds / 60:.1f} min of moving; at most "
         f"{frames * pixels / 1e9:.2f} GB of images; nothing was moved"
     )

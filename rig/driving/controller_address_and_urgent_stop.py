@@ -15,6 +15,7 @@ from rig.driving.clock import Clock
 from rig.driving.controller_lock import ControllerLock, ask_lock_holder_to_end, await_end_of_lock_holder
 from rig.driving.newport_port import NewportPort
 from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
+from rig.driving.universal_robots_port import UniversalRobotsPort
 from rig.errors import FileError
 from rig.model.protocol_and_port_names import MOTOR_RECORDS
 
@@ -26,6 +27,7 @@ STOPS = {
     "hxp": b"0 GroupMoveAbort(HEXAPOD)\n",
     "linuxcnc": b"SET ABORT\r\n",
     "struts": b"!",
+    "urscript": b"stopj(3)\n",  # rad/s^2
     **dict.fromkeys(MOTOR_RECORDS, b""),  # which take the names of records, see epics_motor_record_stop_bytes
 }
 
@@ -68,7 +70,7 @@ class StoppedController(NamedTuple):
     """A controller that was sent its urgent stop. lock, port : held, open; sent : what; t : when, s on the clock"""
 
     lock: ControllerLock
-    port: SerialPort | ChannelAccessPort | NewportPort
+    port: SerialPort | ChannelAccessPort | NewportPort | UniversalRobotsPort
     sent: bytes
     t: float
 

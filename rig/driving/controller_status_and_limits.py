@@ -3,17 +3,20 @@
 Limits are of travel, speed and acceleration; a warning names those that are tighter than the rig.toml's.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import SHOWN, value_text
 from rig.errors import FileError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.numbers_and_units import parse_number
+from rig.model import mechanisms
 from rig.model.design import Controller
-from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_struts
 
 SLACK = 1e-3  # share by which figures may differ, as controllers print them rounded
 EDGE = 1e-5  # m by which a goal may pass a travel's end, for the same reason
@@ -24,8 +27,9 @@ INI_UNITS = {"mm": 1e-3, "metric": 1e-3, "cm": 1e-2, "inch": 0.0254, "in": 0.025
 class ControllerLimits:
     """What a controller allows; NaN where it does not say.
 
-    travel : (n, 2) m as it counts; span : (n,) m, length of the travel, also where its ends are not said; speed : (n,)
-    m/s; acceleration : (n,) m/s^2; travel_name, speed_name, acceleration_name : of its settings, for messages
+    travel : (n, 2) m or rad as it counts; span : (n,) length of the travel, also where its ends are not said
+    speed : (n,) m/s or rad/s; acceleration : (n,) m/s^2 or rad/s^2; travel_name, speed_name, acceleration_name : of its
+    settings, for messages
     """
 
     travel: Floats
@@ -38,47 +42,52 @@ class ControllerLimits:
 
 
 def tighter_controller_limit_warnings(
-    limits: ControllerLimits, controller: Controller, mechanism: Hexapod | Planar2
+    limits: ControllerLimits, controller: Controller, mechanism: Commanded
 ) -> list[str]:
     """Warnings of controller limits tighter than the rig.toml's.
 
-    A line for each kind of limit, with both figures of the strut that it concerns most.
+    A line for each kind of limit, with both figures of the axis that it concerns most.
     """
-    lines, ranges = [], mechanism.strut_range
+    lines, ranges = [], mechanisms.kinematics_of(mechanism).travel_ranges(mechanism)
+    places, units = mechanisms.axis_place_texts(mechanism), mechanisms.axis_units(mechanism)
+    own_range = "strut_range" if has_struts(mechanism) else "its range"
     low, high = (limits.travel + controller.zero[:, None]).T
     short = np.fmax(low - ranges[:, 0], ranges[:, 1] - high)
     if (short > EDGE).any():
         i = int(np.nanargmax(short))
+        scale, unit = SHOWN[units[i]]
         lines.append(
-            f"strut {i + 1}: the controller goes from {low[i] * 1e3:.3f} to {high[i] * 1e3:.3f} mm "
-            f"({limits.travel_name}), strut_range from {ranges[i, 0] * 1e3:.3f} to {ranges[i, 1] * 1e3:.3f} mm: it "
-            "refuses what lies beyond"
+            f"{places[i]}: the controller goes from {low[i] * scale:.3f} to {high[i] * scale:.3f} {unit} "
+            f"({limits.travel_name}), {own_range} from {ranges[i, 0] * scale:.3f} to {ranges[i, 1] * scale:.3f} "
+            f"{unit}: it refuses what lies beyond"
         )
     elif ((lacking := np.ptp(ranges, axis=1) - limits.span) > EDGE).any():
         i = int(np.nanargmax(lacking))
         lines.append(
-            f"strut {i + 1}: the controller travels {limits.span[i] * 1e3:.3f} mm ({limits.travel_name}), strut_range "
-            f"is {np.ptp(ranges[i]) * 1e3:.3f} mm long: it refuses what lies beyond"
+            f"{places[i]}: the controller travels {value_text(limits.span[i], units[i])} ({limits.travel_name}), "
+            f"{own_range} is {value_text(np.ptp(ranges[i]), units[i])} long: it refuses what lies beyond"
         )
-    for name, stated, own, setting, unit in (
-        ("max_speed", controller.max_speed, limits.speed, limits.speed_name, "mm/s"),
-        ("max_acceleration", controller.max_acceleration, limits.acceleration, limits.acceleration_name, "mm/s^2"),
+    for name, stated, own, setting, per in (
+        ("max_speed", controller.max_speed, limits.speed, limits.speed_name, "/s"),
+        ("max_acceleration", controller.max_acceleration, limits.acceleration, limits.acceleration_name, "/s^2"),
     ):
         if stated is None or not (stated > own * (1 + SLACK)).any():
             continue
         i = int(np.nanargmax(stated / own))
+        scale, unit = SHOWN[units[i]]
         lines.append(
-            f"strut {i + 1}: the controller allows {own[i] * 1e3:.6g} {unit} ({setting}), {name} is "
-            f"{stated[i] * 1e3:.6g} {unit}: it lowers what exceeds its own, and moves take longer than stated"
+            f"{places[i]}: the controller allows {own[i] * scale:.6g} {unit}{per} ({setting}), {name} is "
+            f"{stated[i] * scale:.6g} {unit}{per}: it lowers what exceeds its own, and moves take longer than stated"
         )
     return lines
 
 
-def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: Floats) -> None:
-    """Raise Unreachable for goals (k, n) m, lengths, that the controller would refuse.
+def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: Floats, mechanism: Commanded) -> None:
+    """Raise Unreachable for goals (k, n) m or rad that the controller would refuse.
 
-    zero : (n,) m, length where it counts 0
+    zero : (n,) m or rad, where it counts 0
     """
+    places, units = mechanisms.axis_place_texts(mechanism), mechanisms.axis_units(mechanism)
     low, high = (limits.travel + zero[:, None]).T
     beyond = np.fmax(low - goals, goals - high)
     index = np.flatnonzero((beyond > EDGE).any(axis=1))
@@ -89,8 +98,8 @@ def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: F
             "nothing has moved:",
             index,
             [
-                f"goal {k + 1}: strut {i + 1} to {goals[k, i] * 1e3:.3f} mm, the controller goes from "
-                f"{low[i] * 1e3:.3f} to {high[i] * 1e3:.3f} mm"
+                f"goal {k + 1}: {places[i]} to {value_text(goals[k, i], units[i])}, the controller goes from "
+                f"{value_text(low[i], units[i])} to {value_text(high[i], units[i])}"
                 for k, i in zip(index, worst)
             ],
         )
@@ -101,15 +110,16 @@ def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: F
             "the goals lie further apart than the controller travels; nothing has moved:",
             [int(np.argmax(goals[:, i]))],
             [
-                f"strut {i + 1} needs {needed[i] * 1e3:.3f} mm, the controller travels {limits.span[i] * 1e3:.3f} mm "
-                f"({limits.travel_name})"
+                f"{places[i]} needs {value_text(needed[i], units[i])}, the controller travels "
+                f"{value_text(limits.span[i], units[i])} ({limits.travel_name})"
             ],
         )
 
 
-def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
-    """Limits of the joints 0 .. count - 1 in a LinuxCNC .ini file.
+def limits_of_linuxcnc_ini(path: Path, axis_units: Sequence[str]) -> ControllerLimits:
+    """Limits of the joints 0 .. n - 1 in a LinuxCNC .ini file, which states angles in degrees.
 
+    axis_units : "m" or "rad" of each
     Raises FileError for one that cannot be read.
     """
     sections: dict[str, dict[str, str]] = {}
@@ -124,11 +134,11 @@ def limits_of_linuxcnc_ini(path: Path, count: int) -> ControllerLimits:
     word = sections.get("TRAJ", {}).get("LINEAR_UNITS", "mm").lower()
     if word not in INI_UNITS:
         raise FileError(path, f"[TRAJ] LINEAR_UNITS = {word!r} is none of {', '.join(INI_UNITS)}")
-    unit = INI_UNITS[word]
+    scales = [INI_UNITS[word] if unit == "m" else 1 / SHOWN["rad"][0] for unit in axis_units]
 
     def figures(name: str) -> Floats:
         found = []
-        for joint in range(count):
+        for joint, unit in enumerate(scales):
             text = sections.get(f"JOINT_{joint}", {}).get(name)
             try:
                 found.append(np.nan if text is None else unit * parse_number(text))
@@ -192,6 +202,7 @@ class PositionReport:
 TRUST = "home it (rig home), or, where the lengths reported are true, use --trust (rig run: --no-home)"
 ANEW = f"the controller has restarted since the last contact; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
+OUT_OF_JOINT_RANGE = "is [controller] zero the value of each axis at which the controller counts 0?"
 UNIT_ERROR_RATIOS = (500.0, 2000.0)  # by which a length is off where mm were taken for m, and the like
 CANNOT_HOME = (
     "[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with "

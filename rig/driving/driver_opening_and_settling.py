@@ -26,7 +26,7 @@ from rig.errors import FileError, RigError
 from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Controller, Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_axes
 from rig.model.protocol_and_port_names import port_problem
 
 
@@ -52,7 +52,7 @@ def address_of_controller(controller: Controller, mechanism: Mechanism) -> Contr
     c = controller
     if not (c.port or c.usb):
         raise RigError("[controller] names no port")
-    stop = protocol_of_controller(c, require_struts(mechanism)).urgent_stop
+    stop = protocol_of_controller(c, require_axes(mechanism)).urgent_stop
     return ControllerAddress(c.protocol, c.port, c.usb, c.baudrate, c.password, c.enable_password, stop, c.axes)
 
 
@@ -107,7 +107,7 @@ def settled_status(
     while status.activity == "moving":
         if clock.now() > end:
             driver.stop()
-            raise RigError(f"the struts still moved {timeout:g} s after connecting; they were commanded to stop")
+            raise RigError(f"the axes still moved {timeout:g} s after connecting; they were commanded to stop")
         clock.sleep(poll_interval)
         status = driver.status()
     if moved and status.known and status.activity == "idle" and not status.fault:

@@ -109,7 +109,7 @@ class RunEquipment:
     share of the way through time
     readings : {channel: value} of sensors now, or None; limbs : their (6,) m, or None; save : (path, image) puts an
         image on disk; interval : s from one exposure in motion to the next, at least; form : of an operator's readings,
-        None where none is asked"""
+        None where none is asked; unit : name of a thousandth of the axes' m or rad"""
 
     machine: Machine
     shutter: SynchronisedCameras | None
@@ -122,6 +122,7 @@ class RunEquipment:
     limbs: Callable[[], Floats] | None = None
     interval: float = 0.25
     form: ReadingForm | None = None
+    unit: str = "mm"
 
 
 class RunOperator:
@@ -174,9 +175,11 @@ class RunOperator:
         state = progress_from_journal(self._journal.rows, self.planned)
         position = self._read()
         if homed:
-            found, reached = f"the struts had to be homed; step {state.step + 1} is approached from there", False
+            found, reached = f"the axes had to be homed; step {state.step + 1} is approached from there", False
         else:
-            found, reached = interrupted_move_result(state, self.planned, np.array(position), self.bench.tolerance)
+            found, reached = interrupted_move_result(
+                state, self.planned, np.array(position), self.bench.tolerance, self.bench.unit
+            )
         goal = tuple(self.planned[state.step].goal.tolist())
         self.write(Resumed(self.now(), goal if reached else position, found))
         if state.pending is not None:
@@ -360,8 +363,8 @@ class RunOperator:
         off = float(max(np.abs(position - goal).max(), np.abs(position - at).max()))
         if off > self.bench.tolerance:
             raise MotionError(
-                f"frame {number} is discarded: {when} its exposure the struts read {off * 1e3:.3f} mm from where they "
-                f"were to rest ({position.round(6).tolist()} m); did something else command them?"
+                f"frame {number} is discarded: {when} its exposure the axes read {off * 1e3:.3f} {self.bench.unit} "
+                f"from where they were to rest ({position.round(6).tolist()}); did something else command them?"
             )
         return position
 

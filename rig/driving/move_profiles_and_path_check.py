@@ -12,12 +12,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text
 from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Controller
-from rig.model.mechanism_geometry_classes import Hexapod, Planar2
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Parallel, has_struts, is_parallel
 
 TimedShares = tuple[tuple[float, float], ...]
 PIECES = 8  # straight pieces to a ramp: they leave the curve by less than a five hundredth of what is travelled in it
@@ -56,11 +57,11 @@ def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, 
 
 
 def straight_move_segment(
-    start: Floats, target: Floats, speed_fraction: float, controller: Controller, mechanism: Hexapod | Planar2
+    start: Floats, target: Floats, speed_fraction: float, controller: Controller, mechanism: Commanded
 ) -> Segment:
     """Segment of a straight move of all axes, which begin and arrive simultaneously.
 
-    start, target : (n,) m, lengths; speed_fraction : of the greatest speeds, above 0 and at most 1
+    start, target : (n,) m or rad; speed_fraction : of the greatest speeds, above 0 and at most 1
     """
     travel = np.abs(target - start)
     duration = max(float((travel / (speed_fraction * controller.max_speed)).max()), 1e-6)
@@ -72,57 +73,61 @@ def straight_move_segment(
 
 
 def speed_fraction_of_move(start: Floats, target: Floats, speed: float, controller: Controller) -> float:
-    """Fraction of the greatest speeds at which the strut that moves most has a speed (m/s).
+    """Fraction of the greatest speeds at which the axis that moves most has a speed (m/s or rad/s).
 
     start, target : (n,) m, lengths
-    Raises ValueError where a strut would exceed its greatest speed.
+    Raises ValueError where an axis would exceed its greatest speed.
     """
     travel = np.abs(target - start)
     if not travel.any():
         return 1.0
     share = float((travel / controller.max_speed).max()) * speed / float(travel.max())
     if not 0 < share <= 1 + 1e-9:
-        raise ValueError(f"{speed:g} m/s exceeds the struts' max_speed {controller.max_speed.tolist()} m/s")
+        raise ValueError(f"{speed:g} exceeds the axes' max_speed {controller.max_speed.tolist()}, m/s or rad/s")
     return min(share, 1.0)
 
 
-SPACING = 2e-3  # m of the strut that moves most, between the places looked at
+SPACING = 2e-3  # m or rad of the axis that moves most, between the places looked at
 FEWEST, MOST = 3, 200  # of them, beside the start
 
 
-def require_lengths_in_range(lengths: Floats, mechanism: Hexapod | Planar2) -> Floats:
-    """Require lengths (n,) m within the strut ranges, and return them.
+def require_lengths_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
+    """Require values (n,) m or rad within the axes' ranges, and return them.
 
-    Raises ValueError for another number of lengths or for what is not finite, Unreachable naming each strut beyond
+    Raises ValueError for another number of values or for what is not finite, Unreachable naming each axis beyond
     its range.
     """
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
-        raise ValueError(f"expected {len(mechanism.axes)} finite lengths in m, got {lengths.tolist()}")
-    beyond = mechanisms.kinematics_of(mechanism).signed_limit_excess(lengths, mechanism)
+        raise ValueError(f"expected {len(mechanism.axes)} finite values, got {lengths.tolist()}")
+    module = mechanisms.kinematics_of(mechanism)
+    beyond = module.signed_limit_excess(lengths, mechanism)
     if beyond.any():
-        low, high = mechanism.strut_range.T
-        lines = [
-            f"strut {i + 1}: {lengths[i] * 1e3:.3f} mm is outside {low[i] * 1e3:.6g} .. {high[i] * 1e3:.6g} mm"
-            for i in np.flatnonzero(beyond)
-        ]
-        raise Unreachable("not moved: the lengths are beyond what the struts reach", [0], lines)
+        places, units = mechanisms.axis_place_texts(mechanism), mechanisms.axis_units(mechanism)
+        lines = []
+        for i in np.flatnonzero(beyond):
+            scale, name = SHOWN[units[i]]
+            low, high = module.travel_ranges(mechanism)[i] * scale
+            lines.append(f"{places[i]}: {lengths[i] * scale:.3f} {name} is outside {low:.6g} .. {high:.6g} {name}")
+        what = "lengths" if has_struts(mechanism) else "values"
+        raise Unreachable(f"not moved: the {what} are beyond what the {axes_word(mechanism)} reach", [0], lines)
     return lengths
 
 
 def require_safe_path(
     start: Floats,
     target: Floats,
-    mechanism: Hexapod | Planar2,
+    mechanism: Commanded,
     singularity_margin: float,
     max_step: float | None,
     zero: Floats | float = 0.0,
 ) -> None:
     """Raise Unreachable unless the straight path is safe.
 
-    Ranges, largest step, workspace, singularities.
-    start, target : (n,) m, start as read back, which may lie outside the range as long as the way leads inwards
-    singularity_margin : least singular value of the Jacobian as a share of that at home; max_step : m, or None
+    Ranges, largest step, workspace, singularities. In its own axes a serial machine passes singularities as any other
+    place, and its workspace is the ranges.
+    start, target : (n,) m or rad, start as read back, which may lie outside the range as long as the way leads inwards
+    singularity_margin : least singular value of the Jacobian as a share of that at home; max_step : m or rad, or None
     zero : (n,) m, lengths where the controller counts 0, for a hint at its units
     """
     step = np.abs(target - start).max()
@@ -130,8 +135,13 @@ def require_safe_path(
         raise Unreachable(
             "not moved: the step is too large",
             [0],
-            [f"{1e3 * step:.3f} mm, [controller] max_step allows {1e3 * max_step:.3f} mm"],
+            [
+                f"{greatest_distance_text(target - start, mechanism)}, [controller] max_step allows "
+                f"{greatest_distance_text(np.full(len(start), max_step), mechanism)}"
+            ],
         )
+    if not is_parallel(mechanism):
+        return
     count = int(np.clip(np.ceil(step / SPACING), FEWEST, MOST))
     share = np.linspace(0.0, 1.0, count + 1)
     path = start + share[:, None] * (target - start)
@@ -143,7 +153,7 @@ def require_safe_path(
         poses = module.forward(path, mechanism)
     except NotConverged as error:
         k = int(np.min(error.index))
-        hint = unit_hint(start - zero, mechanism.strut_range.T - zero)
+        hint = unit_hint(start - zero, module.travel_ranges(mechanism).T - zero)
         where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE + hint] if k == 0 else [])]
         raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
     least = _dexterity(poses, path, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
@@ -160,7 +170,7 @@ def require_safe_path(
         )
 
 
-def _dexterity(poses: RigidTransform, values: Floats, mechanism: Hexapod | Planar2) -> Floats:
+def _dexterity(poses: RigidTransform, values: Floats, mechanism: Parallel) -> Floats:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
     J = mechanisms.kinematics_of(mechanism).inverse_kinematics_jacobian(poses, values, mechanism)
     if mechanism.plates is not None:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import axes_word
 from rig.errors import NotConverged, RigError
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.numbers_and_units import LengthAndAngleUnits, parse_number
 from rig.model import mechanisms
 from rig.model.design import Instrument
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_tables import POSE_UNITS
 
@@ -26,7 +27,7 @@ class ReadingForm:
     figures a reading may have, none where the instrument measures no poses
     """
 
-    mechanism: Struts
+    mechanism: Commanded
     units: LengthAndAngleUnits
     sizes: tuple[int, ...]
 
@@ -60,7 +61,8 @@ class ReadingForm:
 
     def _place(self, lengths: Floats) -> str:
         """Lengths (axes,) m as text, with the pose of the nominal model where there is one."""
-        struts = f"struts {self._text(lengths, 'm')} {self.units.length}"
+        texts = [self._text(value, unit) for value, unit in zip(lengths, mechanisms.axis_units(self.mechanism))]
+        struts = f"{axes_word(self.mechanism)} {' '.join(texts)} {self._units_of_axes()}"
         if self.mechanism.plates is None:
             return struts
         try:
@@ -70,8 +72,13 @@ class ReadingForm:
         pose = f"{self._text(v[:3], 'm')} {self.units.length}, {self._text(v[3:], 'rad')} {self.units.angle}"
         return f"{pose} by the nominal model ({struts})"
 
-    def _text(self, values: Floats, unit: str) -> str:
-        return " ".join(f"{value:.7g}" for value in np.round(values * self.units.per_si(unit), 9) + 0.0)
+    def _units_of_axes(self) -> str:
+        """Names of the axes' units, once each."""
+        return ", ".join(dict.fromkeys(self.units.name(unit) for unit in mechanisms.axis_units(self.mechanism)))
+
+    def _text(self, values: Floats | float, unit: str) -> str:
+        shown = np.round(np.atleast_1d(values) * self.units.per_si(unit), 9) + 0.0
+        return " ".join(f"{value:.7g}" for value in shown)
 
 
 def reading_sizes(instrument: Instrument | None) -> tuple[int, ...]:

@@ -27,9 +27,10 @@ from urllib.parse import quote, urlsplit
 
 import serial
 
-from rig.driving import newport_port
+from rig.driving import newport_port, universal_robots_port
 from rig.driving.clock import Clock
 from rig.driving.newport_port import NewportPort
+from rig.driving.universal_robots_port import UniversalRobotsPort
 from rig.errors import LinkLost, MissingLibrary
 from rig.model.protocol_and_port_names import USUAL_PORTS, port_problem
 
@@ -354,7 +355,9 @@ def _shown(value: object) -> str:
     return repr(float(str(value)))
 
 
-def open_port(port: str, usb: str, baudrate: int, clock: Clock) -> SerialPort | ChannelAccessPort | NewportPort:
+def open_port(
+    port: str, usb: str, baudrate: int, clock: Clock
+) -> SerialPort | ChannelAccessPort | NewportPort | UniversalRobotsPort:
     """The open port of a controller. port, usb, baudrate : as [controller] states them
 
     Raises LinkLost where it does not open, MissingLibrary for an IOC without the package that it takes
@@ -364,4 +367,6 @@ def open_port(port: str, usb: str, baudrate: int, clock: Clock) -> SerialPort | 
         return ChannelAccessPort(port, clock)
     if scheme == newport_port.SCHEME:
         return NewportPort(port, clock)
+    if scheme == universal_robots_port.SCHEME:
+        return UniversalRobotsPort(port, clock)
     return SerialPort(find_usb_port(port, usb), baudrate, clock)

@@ -186,12 +186,13 @@ def start_position_of_step(journal_rows: list[Row], steps: tuple[Step, ...], ind
 
 
 def lost_position_reason(
-    progress: Progress, position: Floats, tolerance: float, controller_restarted: bool, can_home: bool
+    progress: Progress, position: Floats, tolerance: float, controller_restarted: bool, can_home: bool, unit: str = "mm"
 ) -> str:
-    """Reason why a position (axes,) m that is read when a run is resumed counts as lost; "" where it does not.
+    """Reason why a position (axes,) m or rad that is read when a run is resumed counts as lost; "" where it does not.
 
     tolerance : m, of a read-back; controller_restarted : whether the controller says that it started since it was homed
-    or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by struts that read elsewhere.
+    or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by axes that read elsewhere.
+    unit : name of a thousandth of m or rad
     """
     if progress.lost:
         return f"the run ended with the position lost ({progress.lost})"
@@ -203,17 +204,17 @@ def lost_position_reason(
     if can_home or beyond <= tolerance:
         return ""
     return (
-        f"the struts read {beyond * 1e3:.3f} mm from where the run left them, and [controller] homing = false: either "
-        "they were moved or the controller lost its zeros"
+        f"the axes read {beyond * 1e3:.3f} {unit} from where the run left them, and [controller] homing = false: "
+        "either they were moved or the controller lost its zeros"
     )
 
 
 def interrupted_move_result(
-    progress: Progress, steps: tuple[Step, ...], position: Floats, tolerance: float
+    progress: Progress, steps: tuple[Step, ...], position: Floats, tolerance: float, unit: str = "mm"
 ) -> tuple[str, bool]:
     """Result of an interrupted move from the position read after a crash.
 
-    tolerance : m, of a read-back
+    tolerance : m, of a read-back; unit : name of a thousandth of m or rad
     Returns (text, whether the goal is reached)
     """
 
@@ -221,7 +222,7 @@ def interrupted_move_result(
         return bool(np.abs(position - np.asarray(place)).max() <= tolerance)
 
     def off(place: object) -> str:
-        return f"{np.abs(position - np.asarray(place)).max() * 1e3:.3f} mm"
+        return f"{np.abs(position - np.asarray(place)).max() * 1e3:.3f} {unit}"
 
     goal = steps[progress.step].goal
     if progress.pending is not None:
@@ -230,13 +231,13 @@ def interrupted_move_result(
         if near(goal) and steps[progress.step].speed is not None:
             return f"the move of step {progress.step} was done, but not seen to its end: it is made again", False
         if near(goal):
-            return f"the move of step {progress.step} was done: the struts are at its goal", True
+            return f"the move of step {progress.step} was done: the axes are at its goal", True
         if near(progress.pending.start):
-            return f"the move of step {progress.step} was not made: the struts are where they were", False
+            return f"the move of step {progress.step} was not made: the axes are where they were", False
         return f"the move of step {progress.step} was broken off, {off(goal)} before its goal", False
     if near(progress.position):
-        return "the struts are where they were left", progress.arrived
+        return "the axes are where they were left", progress.arrived
     return (
-        f"the struts stand {off(progress.position)} from where they were left: somebody moved them",
+        f"the axes stand {off(progress.position)} from where they were left: somebody moved them",
         progress.arrived and near(goal),
     )

@@ -1,4 +1,4 @@
-"""Driver of struts: checks and sends each move, monitors the read-back, stops on failure."""
+"""Driver of a machine's axes (struts, joints, slides): checks, sends and monitors each move, stops on failure."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -10,10 +10,12 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check, protocols
+from rig.driving.axis_units_and_distances import axes_word, greatest_distance_text
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import (
     ANEW,
     CANNOT_HOME,
+    OUT_OF_JOINT_RANGE,
     OUT_OF_RANGE,
     TRUST,
     ControllerLimits,
@@ -31,7 +33,7 @@ from rig.driving.request_and_answer_exchange_with_controller import Link, Port, 
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts, require_axes
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
@@ -43,7 +45,9 @@ TRIES = 3  # times that a move is sent which the read-back shows was never begun
 
 
 class Driver:
-    """A rig's struts. `with Driver(design) as driver: driver.home(); driver.move(lengths)`.
+    """A rig's axes, struts or joints and slides: what is called lengths, in m, is in rad of joints that turn.
+
+    `with Driver(design) as driver: driver.home(); driver.move(lengths)`.
 
     design : with a controller; clock : SystemClock by default; opener : makes the port, by default what [controller]
         port names
@@ -61,7 +65,8 @@ class Driver:
         c = design.driver()
         if opener is None and not (c.port or c.usb):
             raise RigError("[controller] names no port")
-        self.design, self.controller, self.mechanism = design, c, require_struts(design.mechanism)
+        self.design, self.controller, self.mechanism = design, c, require_axes(design.mechanism)
+        self._axes = axes_word(self.mechanism)
         self.clock = clock or SystemClock()
         self._protocol = protocols.protocol_of_controller(c, self.mechanism)
         self.link = Link(
@@ -127,7 +132,7 @@ class Driver:
     def limits(self) -> ControllerLimits | None:
         """Limits that the controller itself has, None where nobody says. Raises LinkLost, NoAnswer, FileError."""
         if self.controller.ini:
-            return limits_of_linuxcnc_ini(Path(self.controller.ini), len(self.mechanism.axes))
+            return limits_of_linuxcnc_ini(Path(self.controller.ini), mechanisms.axis_units(self.mechanism))
         return self._query(self._protocol.limits)
 
     def limit_warnings(self) -> list[str]:
@@ -144,7 +149,9 @@ class Driver:
             self._left = move_profiles_and_path_check.require_lengths_in_range(self.lengths(), self.mechanism)
         except Unreachable as error:
             raise Unreachable(
-                "what the controller reports cannot be trusted", error.index, [str(error), OUT_OF_RANGE]
+                "what the controller reports cannot be trusted",
+                error.index,
+                [str(error), OUT_OF_RANGE if has_struts(self.mechanism) else OUT_OF_JOINT_RANGE],
             ) from None
         self.link.run(self._protocol.confirm())
         self._known, self._homed = True, None
@@ -173,8 +180,8 @@ class Driver:
             lengths, home = self._lengths(state), self.controller.home
             if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
                 raise PositionLost(
-                    f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home states "
-                    f"{home.round(6).tolist()} m"
+                    f"after homing the {self._axes} read {self._text(lengths)}, [controller] home states "
+                    f"{self._text(home)}"
                 )
             self._known, self._homed, self._left = True, state.homed, lengths
             return self._status(state)
@@ -243,13 +250,12 @@ class Driver:
         if not same:
             raise PositionLost(ANEW)
         if not self._known:
-            raise PositionLost(f"the position of the struts is not known; {TRUST}")
+            raise PositionLost(f"the position of the {self._axes} is not known; {TRUST}")
         lengths = self._lengths(state)
         if self._left is not None and np.abs(lengths - self._left).max() > self.controller.tolerance:
             self._known = False
             raise PositionLost(
-                f"the struts read {lengths.round(6).tolist()} m, they were left at "
-                f"{self._left.round(6).tolist()} m; {TRUST}"
+                f"the {self._axes} read {self._text(lengths)}, they were left at {self._text(self._left)}; {TRUST}"
             )
         return lengths
 
@@ -313,8 +319,8 @@ class Driver:
                 ):
                     return False
                 raise Stalled(
-                    f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they "
-                    "were commanded to go "
+                    f"the {self._axes} stand at {self._text(lengths)}, "
+                    f"{greatest_distance_text(lengths - target, self.mechanism)} from where they were commanded to go "
                     f"({state.controller_text}){self._lately(begun)}"
                 )
             self.clock.sleep(POLL)
@@ -349,7 +355,7 @@ class Driver:
                 self._halt()
             except MotionError as failed:
                 self._left = None
-                error.add_note(f"the struts could not be stopped: {failed}")
+                error.add_note(f"the {self._axes} could not be stopped: {failed}")
                 self._say(error.__notes__[-1])
                 if isinstance(error, LinkLost) and isinstance(failed, PositionLost):  # why, and what to do
                     raise PositionLost(f"{error}; {failed}") from error
@@ -365,7 +371,7 @@ class Driver:
 
     def _require_stop_accepted(self, verdict: Verdict) -> None:
         if verdict.accepted is None:
-            raise ControllerFault(f"the struts may still move: {verdict.reason}")
+            raise ControllerFault(f"the {self._axes} may still move: {verdict.reason}")
 
     def _accepted(self, verdict: Verdict, what: str) -> None:
         if not verdict.accepted:
@@ -385,6 +391,9 @@ class Driver:
     def _trouble(self, state: State) -> str:
         advice = operator_advice(state.activity, self.controller.homing, state.homing_required)
         return f"{state.fault or state.activity} ({state.controller_text}){advice}"
+
+    def _text(self, values: Floats) -> str:
+        return f"{values.round(6).tolist()} {mechanisms.travel_unit(self.mechanism)}"
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

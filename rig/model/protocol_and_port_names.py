@@ -6,13 +6,14 @@ It imports nothing that takes time.
 import re
 from urllib.parse import urlsplit
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics", "epics-hexapod")
+PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics", "epics-hexapod", "urscript")
+TURN = ("grblhal", "linuxcnc", "struts", "urscript")  # whose axes may be joints that turn
 TAKE_POSES = ("gcs-hexapod", "hxp", "epics-hexapod")  # controllers of hexapods, with kinematics and frames of their own
 MOTOR_RECORDS = ("epics", "epics-hexapod")  # whose axes are names of EPICS motor records
 ANGLES = {"moving": "XYZ", "fixed": "xyz"}  # of U, V, W, in this order: SciPy's names of the axes that they turn about
 STATE_ANGLES = ("hxp", "epics-hexapod")  # whose controllers may have either
 USER_PROGRAMS = ("file", "package")  # KIND:PLACE of a protocol or camera of the user's own
-USUAL_PORTS = {"ca": 5064, "xps": 5001}  # of URLs that name none
+USUAL_PORTS = {"ca": 5064, "xps": 5001, "ur": 30003}  # of URLs that name none
 SHOWN = 80  # characters of a port's name that a message repeats
 # of ports that are no device; pyserial knows others, which write files or search for devices
 SCHEMES = ("socket", "rfc2217", "loop", *USUAL_PORTS)

@@ -12,8 +12,8 @@ import numpy as np
 from calib.online.live_learner_and_run_state import MeasuredFrame, RunDisplay, RunState
 from calib.online.observer_of_run_frames import RunObserver
 from calib.online.web_page_of_ongoing_run import RunPage
-from rig.array_and_json_types import Floats
 from rig.cli.shared.output_display import unescaped_stream
+from rig.driving.axis_units_and_distances import SHOWN
 from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
@@ -21,13 +21,9 @@ from rig.model.design import Design
 from rig.model.pose import pose_to_vector
 
 
-def lengths_text(lengths: Floats) -> str:
-    """Lengths (n,) m as text, in mm."""
-    return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
-
-
 def print_status(status: ControllerStatus, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
+    from rig.driving.axis_units_and_distances import values_text
     from rig.driving.controller_status_and_limits import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
@@ -38,8 +34,9 @@ def print_status(status: ControllerStatus, design: Design) -> None:
     print(f"{status.activity}{fault}{operator_advice(status.activity, homing, status.homing_required)}")
     if not status.known:
         print("position not known: " + ("home it" if homing else "verify it, then use --trust"))
-    print(f"lengths {lengths_text(status.lengths)}")
-    if design.mechanism.plates is not None and status.known:
+    m = design.mechanism
+    print(f"{'lengths' if m.strut_joints is not None else 'joints'} {values_text(status.lengths, m)}")
+    if (m.plates is not None or m.strut_joints is None) and status.known:
         try:
             v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
         except NotConverged:
@@ -51,7 +48,7 @@ def print_status(status: ControllerStatus, design: Design) -> None:
         )
 
 
-WIDTH = 30  # of a strut's bar
+WIDTH = 30  # of an axis's bar
 
 
 class PlainLineDisplay:
@@ -104,18 +101,22 @@ class TerminalBlockDisplay:
 def run_state_lines(state: RunState) -> list[str]:
     """Lines of a RunState for the terminal.
 
-    Progress, strut bars, latest pose, alarms.
+    Progress, bars of the axes, latest pose, alarms.
     """
     left = f", {_minutes_and_seconds(state.left)} left" if np.isfinite(state.left) and state.left > 0 else ""
     frames = (
         f"frame {state.frame} of {state.frames}" if state.frames else f"{count_text(state.frame, 'frame')} in motion"
     )
     lines = [f"{frames}, step {state.step} of {state.steps}{left}", state.phase]
-    for i, (length, goal, (low, high)) in enumerate(zip(state.lengths, state.goal, state.ranges), 1):
+    for (place, unit), length, goal, (low, high) in zip(
+        state.places_and_units, state.lengths, state.goal, state.ranges
+    ):
+        scale, name = SHOWN[unit]
         at, to = (int(np.clip((value - low) / (high - low), 0, 1) * (WIDTH - 1)) for value in (length, goal))
         bar = "".join("#" if k == at else "+" if k == to else "-" for k in range(WIDTH))
         lines.append(
-            f"strut {i} {low * 1e3:8.1f} |{bar}| {high * 1e3:8.1f} mm   {length * 1e3:9.4f} -> {goal * 1e3:9.4f} mm"
+            f"{place} {low * scale:8.1f} |{bar}| {high * scale:8.1f} {name}   "
+            f"{length * scale:9.4f} -> {goal * scale:9.4f}"
         )
     if state.seen is not None:
         lines += _pose_lines(state.seen)

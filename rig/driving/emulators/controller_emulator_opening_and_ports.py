@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import axes_word
 from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes, parse_faults
 from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
@@ -25,16 +26,17 @@ from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.native_strut_protocol import Struts
 from rig.driving.emulators.newport_function_server import FunctionServer
 from rig.driving.emulators.newport_hxp import NewportHexapod
+from rig.driving.emulators.urscript import RealTimeServer, UniversalRobot
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.rig_toml import design_from_rig_toml
+from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanism_geometry_classes import Hexapod, Planar2
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod, require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, require_axes, require_hexapod
 from rig.model.protocol_and_port_names import TAKE_POSES, is_user_file_or_package
 
-ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
+ACCELERATION = 0.1  # m/s^2 or rad/s^2, where the rig.toml states none
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,24 +96,32 @@ def emulator_of_design(
     c = design.controller
     if c is None:
         raise RigError("the rig.toml has no [controller]; an emulator needs its speeds and zeros")
-    m = require_struts(design.mechanism)
+    m = require_axes(design.mechanism)
     home = c.home if c.home is not None else home_lengths(m)
     start_lengths = home if start_lengths is None else np.array(start_lengths, float)
-    low, high = m.strut_range.T
+    ranges = mechanisms.kinematics_of(m).travel_ranges(m)
+    low, high = ranges.T
     if start_lengths.shape != home.shape or not ((start_lengths >= low) & (start_lengths <= high)).all():
         raise RigError(
-            f"the struts cannot start at {start_lengths.tolist()} m; their ranges are {m.strut_range.tolist()} m"
+            f"the {axes_word(m)} cannot start at {start_lengths.tolist()}; their ranges are {ranges.tolist()} "
+            f"{mechanisms.travel_unit(m)}"
         )
     acceleration = np.full(len(home), ACCELERATION) if c.max_acceleration is None else c.max_acceleration
     axes = MovingAxes(clock.now(), start_lengths, speed_factor * c.max_speed, speed_factor**2 * acceleration)
     zero = home if c.protocol in TAKE_POSES else c.zero  # its poses count from home, whatever lengths are called 0
-    machine = EmulatedMachine(axes, zero, home, faults, known=not c.homing)
-    limits = m.strut_range - zero[:, None]
+    machine = EmulatedMachine(axes, zero, home, faults, known=not c.homing or c.protocol == "urscript")
+    limits = ranges - zero[:, None]
     if is_user_file_or_package(c.protocol):
         return load_user_emulator(c.protocol)(machine, faults, clock, limits)
     if c.protocol == "grblhal":
         return GrblHAL(
-            machine, faults, clock, "".join(c.axes) or "XYZABC"[: len(home)], limits, None if c.homing else {22: 0}
+            machine,
+            faults,
+            clock,
+            "".join(c.axes) or "XYZABCUVW"[: len(home)],
+            limits,
+            None if c.homing else {22: 0},
+            mechanisms.axis_units(m),
         )
     if c.protocol == "gcs":
         return GCS(machine, faults, clock, c.axes or tuple(str(i + 1) for i in range(len(home))), limits)
@@ -126,9 +136,10 @@ def emulator_of_design(
             machine,
             faults,
             clock,
-            c.axes or tuple("XYZABC"[: len(home)]),
+            c.axes or tuple("XYZABCUVW"[: len(home)]),
             limits,
             require_hexapod(m) if c.kinematics == "world" else None,
+            mechanisms.axis_units(m),
         )
     records = c.axes or tuple(f"m{i + 1}" for i in range(len(home)))
     if c.protocol == "epics":
@@ -136,18 +147,19 @@ def emulator_of_design(
     if c.protocol == "epics-hexapod":
         platform = EmulatedPlatform(require_hexapod(m), c.work, c.tool, c.angles)
         return EpicsPoseRecords(machine, faults, clock, records, limits, platform)
+    if c.protocol == "urscript":
+        return UniversalRobot(machine, faults, clock, limits)
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 
-def home_lengths(mechanism: Hexapod | Planar2) -> Floats:
-    """Home lengths (n,) m.
+def home_lengths(mechanism: Commanded) -> Floats:
+    """Home lengths or joint values (n,) m or rad, where [controller] home states none.
 
-    Strut lengths at a Hexapod's home pose; for two struts the middle of their ranges.
+    Those of the home pose; of what lies outside an axis's range the middle of it.
     """
-    home, (base, platform) = mechanism.home_pose, mechanism.strut_joints
-    if home is None:
-        return mechanism.strut_range.mean(axis=1)
-    return np.linalg.norm(home.apply(platform) - base, axis=1)
+    module = mechanisms.kinematics_of(mechanism)
+    home, ranges = module.home_values(mechanism), module.travel_ranges(mechanism)
+    return np.where(module.signed_limit_excess(home, mechanism) == 0, home, ranges.mean(axis=1))
 
 
 INSTANT = 1e-6  # s; a sum of times may round to just before
@@ -301,6 +313,8 @@ class Tcp:
 
 def tcp_wire(emulator: Emulator, address: tuple[str, int]) -> Wire:
     """The wire on which an emulator is served over TCP. Raises RigError where it cannot listen at (host, port)."""
+    if isinstance(emulator, UniversalRobot):
+        return RealTimeServer(emulator, address)
     return FunctionServer(address) if isinstance(emulator, NewportHexapod) else Tcp(address)
 
 

@@ -18,8 +18,8 @@ from rig.driving.emulators.controller_emulator_opening_and_ports import home_len
 from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
 from rig.driving.emulators.emulator_base_classes import Emulator
 from rig.driving.emulators.fault_trials import (
-    ARRIVED,
     LONGEST,
+    arrived_within,
     bring_home,
     emulated_driver_with_emulator_and_clock,
     move_counts_with_faults,
@@ -34,7 +34,7 @@ from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Rig
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries, load_design
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import kinematics_of, require_axes
 from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
 
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug")
@@ -44,6 +44,7 @@ STEP, RADIUS = 8e-3, 0.3  # m, of a move; of the hexapod where no rig.toml is gi
 ZERO_STEP = 1e-3  # m between the zeros of its struts, about the middle of their ranges: positions of both signs occur
 SLOW_SHARE = 0.25  # share of full speed, which a move takes that the axes' own limits do not slow down
 FASTEST, SLOWEST, RAMPS = 0.5, 3.0, 1.0  # times a segment's duration that its move may take, and s more for its ramps
+EXACT = 1e-5  # m or rad, of a read-back
 QUESTIONS = 60  # of one state, at most
 USUAL, FAST, SLOW = (0.01, 0.1), (0.1, 5.0), (2e-4, 0.1)  # m/s, m/s^2; many moves shall take little time, homing long
 
@@ -95,7 +96,8 @@ def conformance_design(path: Path | None) -> Design:
     if path is None:
         text = new_rig_toml(LayoutOptions(radius=RADIUS))
         design = design_of_entries(toml_entries(text, Path("hexapod.toml")))
-        middle = require_struts(design.mechanism).strut_range.mean(axis=1)
+        mechanism = require_axes(design.mechanism)
+        middle = kinematics_of(mechanism).travel_ranges(mechanism).mean(axis=1)
         zero = middle + ZERO_STEP * (np.arange(len(middle)) - (len(middle) - 1) / 2)
         return replace(design, controller=replace(design.driver(), zero=zero))
     design = load_design(path)
@@ -111,7 +113,7 @@ def _require(holds: bool, problem: str) -> None:
 
 def _moves(design: Design, protocol: str, seed: int) -> str:
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
-    home = home_lengths(require_struts(design.mechanism))
+    home = home_lengths(require_axes(design.mechanism))
     clock.allow(10 * LONGEST)
     name = driver.link.protocol.name
     driver.open()
@@ -126,7 +128,10 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
             _require_true_lengths(driver, emulator)
             raise
         off = float(np.abs(emulator.machine.axes.at(clock.now()) - target).max())
-        _require(off <= ARRIVED, f"a move ended {off * 1e3:.4f} mm from its goal and was reported as done")
+        _require(
+            off <= arrived_within(design),
+            f"a move ended {off * 1e3:.4f} mm or mrad from its goal and was reported as done",
+        )
         took = emulator.machine.axes.until - emulator.machine.executed[-1].t
         _require(
             FASTEST * duration <= took <= SLOWEST * duration + RAMPS,
@@ -150,7 +155,7 @@ def _require_true_lengths(driver: Driver, emulator: Emulator) -> None:
 
 def _refused(design: Design, protocol: str, seed: int) -> str:
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
-    mechanism = require_struts(design.mechanism)
+    mechanism = require_axes(design.mechanism)
     home = home_lengths(mechanism)
     clock.allow(LONGEST)
     driver.open()
@@ -174,7 +179,7 @@ def _require_homed_as_emulated(driver: Driver, emulator: Emulator, when: str) ->
 def _idle_where_it_stands(design: Design, protocol: str, seed: int) -> str:
     """Moves that end between two requests of one `state`: "idle" must not go with a position from before."""
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
-    home, axes = home_lengths(require_struts(design.mechanism)), emulator.machine.axes
+    home, axes = home_lengths(require_axes(design.mechanism)), emulator.machine.axes
     driver.open()
     driver.home()
     clock.allow(QUESTIONS * LONGEST)
@@ -208,7 +213,7 @@ def _idle_where_it_stands(design: Design, protocol: str, seed: int) -> str:
 
 def _stops_moving(design: Design, protocol: str, seed: int) -> str:
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
-    home = home_lengths(require_struts(design.mechanism))
+    home = home_lengths(require_axes(design.mechanism))
     driver.open()
     driver.home()
     stopped_by = []
@@ -255,7 +260,7 @@ def _stops_homing(design: Design, protocol: str, seed: int) -> str:
 
 def _restarted(design: Design, protocol: str, seed: int) -> str:
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, protocol, (), seed)
-    home = home_lengths(require_struts(design.mechanism))
+    home = home_lengths(require_axes(design.mechanism))
     driver.open()
     driver.home()
     driver.move(home + 1e-3)
@@ -284,7 +289,7 @@ def _cut(design: Design, protocol: str, seed: int) -> str:
     emulator.unplug(1e6)
     clock.allow(LONGEST)
     try:
-        driver.move(home_lengths(require_struts(design.mechanism)) + 1e-3)
+        driver.move(home_lengths(require_axes(design.mechanism)) + 1e-3)
     except LinkLost as error:
         return str(error)
     raise RigError("a move over a line that is cut was reported as done")
@@ -314,7 +319,7 @@ def _homing_fails(design: Design, protocol: str, seed: int) -> str:
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(
         _at_speed(design, SLOW), protocol, ("homes-on",), seed
     )
-    home = home_lengths(require_struts(design.mechanism))
+    home = home_lengths(require_axes(design.mechanism))
     driver.open()
     clock.allow(2 * design.driver().home_timeout)
     try:
@@ -331,7 +336,7 @@ def _homing_fails(design: Design, protocol: str, seed: int) -> str:
 
 def _small_buffer(design: Design, protocol: str, seed: int, kind: str) -> str:
     driver, emulator, _ = emulated_driver_with_emulator_and_clock(design, protocol, (kind,), seed)
-    home = home_lengths(require_struts(design.mechanism))
+    home = home_lengths(require_axes(design.mechanism))
     target = home + 8.123456e-3 * np.cos(np.arange(len(home)))
     driver.open()
     driver.home()
@@ -352,10 +357,17 @@ def _many(design: Design, protocol: str, seed: int, moves: int) -> str:
 
 
 def _at_speed(design: Design, speed: tuple[float, float]) -> Design:
-    """The design with this speed (m/s) and acceleration (m/s^2) of all struts."""
-    count = len(design.mechanism.axes)
+    """The design with this speed (m/s or rad/s) and acceleration of all axes, that can home, with read-backs as exact
+    as emulators give them.
+    """
+    count, tolerance = len(design.mechanism.axes), design.driver().tolerance
     top, ramp = np.full(count, speed[0]), np.full(count, speed[1])
-    return replace(design, controller=replace(design.driver(), max_speed=top, max_acceleration=ramp))
+    return replace(
+        design,
+        controller=replace(
+            design.driver(), max_speed=top, max_acceleration=ramp, homing=True, tolerance=min(tolerance, EXACT)
+        ),
+    )
 
 
 def _failure_text(failures: dict[str, int]) -> str:

@@ -7,7 +7,7 @@ A line emulator of the user's own has lines, axes, and the faults that a driver 
 
 import heapq
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -211,17 +211,16 @@ class Emulator:
 
 
 class TrueCommandsLog:
-    """Appends rows t, l1..ln to a file up to now whenever `record` is called; t is the clock's."""
+    """Appends rows t and a column of each axis to a file up to now whenever `record` is called; t is the clock's."""
 
-    def __init__(self, emulator: Emulator, path: Path) -> None:
-        """Raises FileError where the file already exists or cannot be written."""
+    def __init__(self, emulator: Emulator, path: Path, axes: Sequence[str]) -> None:
+        """axes : names of the columns. Raises FileError where the file already exists or cannot be written."""
         try:
             self._file = path.open("x", encoding="utf-8")
         except OSError as error:
             raise FileError(path, f"cannot be written: {error.strerror}") from None
         self._emulator, self._done = emulator, emulator.now
-        count = len(emulator.lengths_at(self._done))
-        self._file.write(",".join(["t", *(f"l{i + 1}" for i in range(count))]) + "\n")
+        self._file.write(",".join(["t", *axes]) + "\n")
 
     def record(self) -> None:
         """Write what happened since the last time."""

@@ -20,9 +20,9 @@ from rig.driving.request_and_answer_exchange_with_controller import shown_bytes
 from rig.driving.strut_driver import Driver
 from rig.errors import ControllerFault, MotionError, RigError
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_struts
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, require_axes
 
-ARRIVED = 2e-6  # m of the true struts; the wires' resolution
+ARRIVED = {"m": 2e-6, "rad": 2e-5}  # of the true axes; the wires' resolution, 0.001 mm or degrees
 LONGEST = 120.0  # s on the clock that a move may take, faults and all; more is a hang
 NEVER_ENDS = 3600.0  # s on the clock after which a move is broken off
 WAITS = 30_000  # of a move, after which it is broken off
@@ -117,7 +117,7 @@ def emulated_driver_with_emulator_and_clock(
     Returns (driver, emulator, clock), on a simulated clock, the struts 1 mm from home
     """
     clock = TrialClock()
-    stated: dict[str, Any] = {"protocol": protocol, **controller}
+    stated: dict[str, Any] = {"protocol": protocol, "home": _home(design), **controller}
     design = replace(design, controller=replace(design.driver(), **stated))
     faults = Faults(sum((parse_faults(text) for text in fault_texts), ()), np.random.default_rng(seed))
     emulator = emulator_of_design(design, faults, clock, _home(design) + 1e-3)
@@ -161,7 +161,7 @@ def move_counts_with_faults(
             counts.done += 1
             counts.recovered += bool(note)
             times, off = move_execution_count(emulator, before, target), _off(emulator, clock, target)
-            if times != 1 or off > ARRIVED:
+            if times != 1 or off > arrived_within(design):
                 counts.unacknowledged += 1
                 counts.cases.append((k, note, times, off, tuple(emulator.faults.struck[struck:])))
         except MotionError as error:
@@ -174,6 +174,11 @@ def move_counts_with_faults(
         counts.hangs += int(clock.now() - begun > LONGEST)
         counts.struck.update(emulator.faults.struck[struck:])
     return counts
+
+
+def arrived_within(design: Design) -> float:
+    """m or rad within which a design's axes have arrived: of machines with both, rad."""
+    return max(ARRIVED[unit] for unit in axis_units(design.mechanism))
 
 
 def move_execution_count(emulator: Emulator, skipped_moves: int, target: Floats) -> int:
@@ -205,7 +210,7 @@ def bring_home(driver: Driver, emulator: Emulator) -> None:
 
 
 def _home(design: Design) -> Floats:
-    return home_lengths(require_struts(design.mechanism))
+    return home_lengths(require_axes(design.mechanism))
 
 
 def _off(emulator: Emulator, clock: TrialClock, target: Floats) -> float:

@@ -7,15 +7,16 @@ carried out.
 """
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import counts_per_unit
 from rig.driving.clock import Clock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_classes import Emulator
 
-MM = 1e3
 INCH = 25.4
 BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
 UNLOCK = "[MSG:'$H'|'$X' to unlock]\r\n"
@@ -25,7 +26,9 @@ MODAL = ("G0", "G1", "G20", "G21", "G90", "G91", "G94", "G54", "G17", "G61", "G8
 
 
 class GrblHAL(Emulator):
-    """axes : letters; settings : numbers as $$ lists them, on top of the usual; the rest as of an Emulator"""
+    """axes : letters; settings : numbers as $$ lists them, on top of the usual; units : "m" or "rad" of each axis, by
+    default m; the rest as of an Emulator
+    """
 
     def __init__(
         self,
@@ -35,10 +38,12 @@ class GrblHAL(Emulator):
         axes: str,
         limits: Floats,
         settings: dict[int, float] | None = None,
+        units: Sequence[str] = (),
     ) -> None:
         super().__init__(machine, faults, clock, limits)
         self.axes = axes
         n = len(axes)
+        counts = self._counts = counts_per_unit(units or ["m"] * n)  # mm or degrees per m or rad
         self.settings = {
             0: 5.0,
             1: 25,
@@ -53,9 +58,9 @@ class GrblHAL(Emulator):
             30: 1000.0,
             32: 0,
             **{100 + i: 250.0 for i in range(n)},
-            **{110 + i: MM * 60 * machine.axes.speed[i] for i in range(n)},
-            **{120 + i: MM * machine.axes.acceleration[i] for i in range(n)},
-            **{130 + i: MM * np.ptp(self.limits[i]) for i in range(n)},
+            **{110 + i: counts[i] * 60 * machine.axes.speed[i] for i in range(n)},
+            **{120 + i: counts[i] * machine.axes.acceleration[i] for i in range(n)},
+            **{130 + i: counts[i] * np.ptp(self.limits[i]) for i in range(n)},
             376: 0,
             **(settings or {}),
         }
@@ -137,7 +142,7 @@ class GrblHAL(Emulator):
 
     def _report(self, whole: bool) -> str:
         t = self.now
-        mask, positions = int(self.settings[10]), MM * self.machine.counters(t)
+        mask, positions = int(self.settings[10]), self._counts * self.machine.counters(t)
         busy = self.machine.moving(t)
         word = "Alarm" if self.alarm else "Home" if self.machine.homing(t) else "Check" if self._checking else "Idle"
         if self.held:
@@ -149,14 +154,14 @@ class GrblHAL(Emulator):
         if mask & 1:
             text = f"<{word}|MPos:{self._figures(positions)}"
         else:
-            text = f"<{word}|WPos:{self._figures(positions - MM * self.offset)}"
+            text = f"<{word}|WPos:{self._figures(positions - self._counts * self.offset)}"
         if mask & 2:
             text += f"|Bf:{BLOCKS - busy},{self.buffer - 1}"
         text += f"|FS:{self._feed if busy else 0:.0f},0"
         if self.machine.fault(t).startswith("motor"):
             text += "|Pn:M"
         if whole or self._reports % 10 == 1:
-            text += f"|WCO:{self._figures(MM * self.offset)}"
+            text += f"|WCO:{self._figures(self._counts * self.offset)}"
         elif self._reports % 10 == 0:
             text += "|Ov:100,100,100"
         if int(self.settings[22]) & 1 and (whole or self._reports % 10 == 2):
@@ -188,7 +193,7 @@ class GrblHAL(Emulator):
             )
         elif text == "$#":
             zeros = self._figures(np.zeros(len(self.axes)))
-            self.say(f"[G54:{self._figures(MM * self.offset)}]\r\n[G92:{zeros}]\r\n[TLO:{zeros}]\r\n")
+            self.say(f"[G54:{self._figures(self._counts * self.offset)}]\r\n[G92:{zeros}]\r\n[TLO:{zeros}]\r\n")
         elif text == "$X":
             if self.machine.deaf or self._blocked:
                 return 79
@@ -262,7 +267,7 @@ class GrblHAL(Emulator):
         self._relative = "G91" in codes or (self._relative and "G90" not in codes)
         self._feed, self._motion = feed, motion
         if values:
-            return self._move({axis: value * scale / MM for axis, value in values.items()}, "G53" in codes)
+            return self._move({axis: value * scale for axis, value in values.items()}, "G53" in codes)
         self._verdict(0)
         return None
 
@@ -275,6 +280,7 @@ class GrblHAL(Emulator):
         target = start.copy()
         for axis, value in values.items():
             i = self.axes.index(axis)
+            value /= self._counts[i]
             if self._relative and not machine_coordinates:
                 target[i] += value
             else:
@@ -283,7 +289,7 @@ class GrblHAL(Emulator):
             self.alarm, self._blocked = 2, True
             self.say("ALARM:2\r\n[MSG:Reset to continue]\r\n")
             return
-        duration = float(np.linalg.norm(target - start)) / (self._feed / MM / 60) if self._motion else 0.0
+        duration = float(np.linalg.norm(self._counts * (target - start))) / (self._feed / 60) if self._motion else 0.0
         struck = self.start_move(target, duration)
         if "ok-after-error" in struck:
             self._fail(1)

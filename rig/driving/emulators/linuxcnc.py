@@ -4,11 +4,13 @@ It answers as linuxcncrsh over TCP: joint moves, or poses through genhexkins.
 """
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import counts_per_unit
 from rig.driving.clock import Clock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_classes import Emulator
@@ -22,7 +24,7 @@ FREE = ("ECHO", "VERBOSE", "ENABLE")  # what may be set before control is enable
 
 class LinuxCNC(Emulator):
     """axes : letters; limits : (n, 2) m of the joints; hexapod : the geometry where words are poses, None where they
-    are joints
+    are joints; units : "m" or "rad" of each axis, by default m
     """
 
     def __init__(
@@ -33,8 +35,10 @@ class LinuxCNC(Emulator):
         axes: tuple[str, ...],
         limits: Floats,
         hexapod: Hexapod | None,
+        units: Sequence[str] = (),
     ) -> None:
         super().__init__(machine, faults, clock, limits)
+        self._counts = counts_per_unit(units or ["m"] * len(axes))  # mm or degrees per m or rad
         self.axes, self.hexapod = axes, hexapod
         self.greet()
 
@@ -85,7 +89,7 @@ class LinuxCNC(Emulator):
             "MODE": self._mode,
             "ESTOP": "ON" if self._estop else "OFF",
             "MACHINE": "ON" if self._power else "OFF",
-            "JOINT_POS": " ".join(f"{value:.6f}" for value in MM * self.machine.counters(t)),
+            "JOINT_POS": " ".join(f"{value:.6f}" for value in self._counts * self.machine.counters(t)),
             "JOINT_HOMED": " ".join(["YES" if self.machine.homed else "NO"] * n),
             "JOINT_FAULT": " ".join("FAULT" if fault == f"motor {i + 1}" else "OK" for i in range(n)),
             "KINEMATICS_TYPE": "1" if self.hexapod is None else "4",
@@ -155,7 +159,7 @@ class LinuxCNC(Emulator):
             return self._answer("MDI", True)
         values = np.array([words[axis] for axis in self.axes]) * (25.4 if 20.0 in codes else 1.0)
         if self.hexapod is None:
-            target = values / MM
+            target = values / self._counts
         else:
             pose = RigidTransform.from_components(values[:3] / MM, Rotation.from_euler("xyz", values[3:], degrees=True))
             target = mechanisms.kinematics_of(self.hexapod).inverse(pose, self.hexapod) - self.machine.zero

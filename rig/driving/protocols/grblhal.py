@@ -1,6 +1,6 @@
 """Protocol grblHAL and Grbl 1.1.
 
-Struts are linear axes in mm, commanded by G-code lines and real-time bytes.
+Axes are counted in mm, joints in degrees, commanded by G-code lines and real-time bytes.
 
 Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. The feed
 word holds what is known of the position: F0 since a start, F1 once greeted after one, more once homed, confirmed or
@@ -15,6 +15,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import counts_per_unit
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
@@ -30,7 +31,6 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
 )
 from rig.errors import ControllerFault, NoAnswer
 
-MM = 1e3
 INCH = 25.4  # mm
 LINE = 78  # characters that every Grbl takes in a line
 BUFFER = 64  # bytes of the receive buffer, where the controller does not say
@@ -108,14 +108,15 @@ ALARMS = {
 class GrblHAL:
     """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
 
-    axes : letters of the axes, in the struts' order
+    axes : letters of the axes, in the machine's order; units : "m" or "rad" of each, by default m
     """
 
     name = "grblhal"
     urgent_stop = STOPS["grblhal"]
 
-    def __init__(self, axes: Sequence[str]) -> None:
+    def __init__(self, axes: Sequence[str], units: Sequence[str] = ()) -> None:
         self.axes = tuple(axes)
+        self._counts = counts_per_unit(units or ["m"] * len(self.axes))  # of the controller per m or rad
         self._settings: dict[int, float] = {}
         self._letters = "XYZABCUVW"[: len(self.axes)]
         self._buffer = BUFFER
@@ -144,7 +145,7 @@ class GrblHAL:
         if missing:
             raise ControllerFault(
                 f"the controller has the axes {self._letters}, not {''.join(missing)}: [controller] axes "
-                "names one for each strut "
+                "names one for each axis "
                 "in their order, and the firmware must be built with that many"
             )
         settings = yield from _answer_lines(b"$$\n", patience=STANDS)
@@ -186,10 +187,12 @@ class GrblHAL:
         )
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
-        speed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
+        speed = 60 * np.linalg.norm(self._counts * (segment.target - segment.start)) / max(segment.duration, 1e-6)
         feed = f"F{max(speed, SLOWEST):.1f}"
         for digits, apart in ((4, False), (4, True), (3, False), (3, True)):
-            words = "".join(f"{axis}{value:.{digits}f}" for axis, value in zip(self.axes, MM * segment.target))
+            words = "".join(
+                f"{axis}{value:.{digits}f}" for axis, value in zip(self.axes, self._counts * segment.target)
+            )
             line = f"G53G1{words}" + ("" if apart else feed)
             if len(line) < min(LINE, self._buffer - 1):
                 break
@@ -252,21 +255,21 @@ class GrblHAL:
 
     def limits(self) -> Dialogue[ControllerLimits | None]:
         yield from ()
-        span = self._axis_settings(130) / MM
+        span = self._axis_settings(130) / self._counts
         if not int(self._settings.get(20, 0)) & 1:  # soft limits are off: it refuses nothing
             span = np.full(len(self.axes), np.nan)
         return ControllerLimits(
             np.full((len(self.axes), 2), np.nan),  # whether it counts up from 0 or down to it depends on its homing
             span,
-            self._axis_settings(110) / MM / 60,
-            self._axis_settings(120) / MM,
+            self._axis_settings(110) / self._counts / 60,
+            self._axis_settings(120) / self._counts,
             "$130 .. with $20=1",
             "$110 ..",
             "$120 ..",
         )
 
     def _axis_settings(self, first: int) -> Floats:
-        """(n,) a setting of each strut's axis, NaN where it is not listed. first : number of the first axis's"""
+        """(n,) a setting of each axis, NaN where it is not listed. first : number of the first axis's"""
         return np.array([self._settings.get(first + self._letters.index(axis), np.nan) for axis in self.axes])
 
     def event(self, line: str) -> str:
@@ -301,12 +304,12 @@ class GrblHAL:
                 yield Exchange(self._whole_report, lambda lines: self._read(lines[-1]) is not None)
 
     def _turning(self) -> str:
-        """Letters of the struts' axes that the controller takes for rotary ones."""
+        """Letters of the axes that the controller takes for rotary ones."""
         rotary = int(self._settings.get(376, 0)) << 3
         return "".join(axis for axis in self.axes if rotary >> self._letters.index(axis) & 1)
 
     def _never_homed(self) -> str:
-        """Letters of the struts' axes that no homing cycle holds; "" where all have one, or the controller states no
+        """Letters of the axes that no homing cycle holds; "" where all have one, or the controller states no
         cycles.
         """
         cycles = [int(self._settings[number]) for number in range(44, 50) if number in self._settings]
@@ -337,7 +340,7 @@ class GrblHAL:
             fault = _WAITS[word]
         if "H" in fields:
             self._homed = fields["H"].startswith("1") and not self._never_homed()
-        chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
+        chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / self._counts
         activity = "moving" if match[1] == "Hold:1" else _ACTIVITY[word]
         required = word == "Alarm" and number == str(HOMING_REQUIRED)
         return State(activity, chosen, self._homed, fault, match[0], required)

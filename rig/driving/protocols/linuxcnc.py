@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_units_and_distances import counts_per_unit
 from rig.driving.controller_address_and_urgent_stop import CLIENT, STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
@@ -41,14 +42,18 @@ _NUMBER = r"-?\d+\.\d+"
 class LinuxCNC:
     """See rig.driving.protocols.protocol_interface_and_user_line_protocol.Protocol.
 
-    axes : letters, in the struts' order; kinematics : "joint" or "world"
+    axes : letters, in the machine's order; kinematics : "joint" or "world"; units : "m" or "rad" of each axis, by
+    default m; of a joint that turns the controller counts degrees
     """
 
     name = "linuxcnc"
     urgent_stop = STOPS["linuxcnc"]
 
-    def __init__(self, axes: Sequence[str], kinematics: str, password: str, enable_password: str) -> None:
+    def __init__(
+        self, axes: Sequence[str], kinematics: str, password: str, enable_password: str, units: Sequence[str] = ()
+    ) -> None:
         self.axes, self.kinematics, self._password, self._enable = tuple(axes), kinematics, password, enable_password
+        self._units = tuple(units or ["m"] * len(self.axes))
         self._unit, self._inch, self._homed = 1e3, False, False
         self.started_anew = False  # JOINT_HOMED says so itself
 
@@ -75,7 +80,7 @@ class LinuxCNC:
             raise ControllerFault(f"the controller counts in {unit}; it must be one of {', '.join(UNITS)}")
         self._unit, self._inch = UNITS[unit], unit == "INCH"
         if len((yield from self._positions())) < len(self.axes):
-            raise ControllerFault(f"the controller has fewer joints than the rig's {len(self.axes)} struts")
+            raise ControllerFault(f"the controller has fewer joints than the rig's {len(self.axes)} axes")
         self._homed = yield from self._all_homed()
         return f"LinuxCNC, {greeting}, {self.kinematics} mode"
 
@@ -86,7 +91,7 @@ class LinuxCNC:
 
     def state(self) -> Dialogue[State]:
         running = yield from self._get("PROGRAM_STATUS", r"\w+")
-        positions = (yield from self._positions())[: len(self.axes)] / self._unit
+        positions = (yield from self._positions())[: len(self.axes)] / self._counts
         fault = yield from self._errors()
         if running == "RUNNING":
             return State("moving", positions, None, fault, f"PROGRAM_STATUS {running}")
@@ -107,7 +112,7 @@ class LinuxCNC:
             verdict = yield from self._set("SET MODE MDI", 4)
             if not verdict.accepted:
                 return verdict
-        values = self._unit * segment.target
+        values = self._counts * segment.target
         if self.kinematics == "world":
             if segment.pose is None:
                 raise ValueError("a controller commanded in poses requires segments with poses")
@@ -172,6 +177,11 @@ class LinuxCNC:
 
     def event(self, line: str) -> str:
         return ""
+
+    @property
+    def _counts(self) -> Floats:
+        """(n,) how much the controller counts per m or rad of each axis."""
+        return counts_per_unit(self._units, self._unit)
 
     def _greet(self) -> Dialogue[str]:
         """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with

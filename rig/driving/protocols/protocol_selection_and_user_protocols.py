@@ -23,12 +23,12 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Verdict,
     user_protocol_state_problem,
 )
+from rig.driving.protocols.urscript import URScript
 from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, missing_member, user_class_error
 from rig.errors import ControllerFault, FileError
 from rig.formats.user_python_file import literal_in_class_body, read_user_text
 from rig.model.design import Controller
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Struts as StrutMechanism
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_units, require_hexapod
 from rig.model.protocol_and_port_names import is_user_file_or_package
 
 P = ParamSpec("P")
@@ -44,7 +44,7 @@ PLAIN = ("move_line", "encode", "decode", "event")  # methods that ask nothing
 TEXTS = ("name", "accepted", "refused", "stop_line")  # that a class must state
 
 
-def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) -> Protocol:
+def protocol_of_controller(controller: Controller, mechanism: Commanded) -> Protocol:
     """The Protocol of a controller that drives a mechanism's axes.
 
     A program of the user's own is run for it.
@@ -54,7 +54,7 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
     if is_user_file_or_package(controller.protocol):
         return load_user_protocol(controller, axis_count)
     if controller.protocol == "grblhal":
-        return GrblHAL(controller.axes or tuple("XYZABC"[:axis_count]))
+        return GrblHAL(controller.axes or tuple("XYZABCUVW"[:axis_count]), axis_units(mechanism))
     if controller.protocol == "gcs":
         return GCS(controller.axes, axis_count)
     if controller.protocol == "gcs-hexapod":
@@ -66,10 +66,11 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
         return Struts(axis_count, controller.watchdog)
     if controller.protocol == "linuxcnc":
         return LinuxCNC(
-            controller.axes or tuple("XYZABC"[:axis_count]),
+            controller.axes or tuple("XYZABCUVW"[:axis_count]),
             controller.kinematics,
             controller.password,
             controller.enable_password,
+            axis_units(mechanism),
         )
     records = controller.axes or tuple(f"m{i + 1}" for i in range(axis_count))
     if controller.protocol == "epics":
@@ -77,6 +78,8 @@ def protocol_of_controller(controller: Controller, mechanism: StrutMechanism) ->
     if controller.protocol == "epics-hexapod":
         hexapod = require_hexapod(mechanism, "epics-hexapod drives a hexapod, not a mechanism of kind {kind!r}")
         return EpicsHexapod(records, controller, hexapod)
+    if controller.protocol == "urscript":
+        return URScript(controller, axis_count)
     raise ValueError(f"no protocol {controller.protocol!r}")
 
 

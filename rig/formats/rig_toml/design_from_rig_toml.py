@@ -11,25 +11,23 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required, name_problem
+from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_and_cube_entries
 from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_entry
+from rig.formats.rig_toml.controller_entries import controller_of_table, port_of_table
 from rig.formats.rig_toml.mechanism_entries import (
     bodies_by_name_in_rig_toml,
     mechanism_of_table,
     refuse_tables_unsuited_to_several_hands,
 )
-from rig.model import protocol_and_port_names as names
 from rig.model.base_and_link_tilt_sensors import ANGLE_UNITS, BaseTilt, TiltSensor
 from rig.model.calibration_board import parse_board
 from rig.model.design import (
     DICTIONARIES,
     FACES,
-    PROTOCOLS,
     Actuator,
-    Controller,
     Design,
     Marker,
     MeasuringLimbs,
@@ -38,14 +36,8 @@ from rig.model.design import (
     SensorPort,
     Target,
 )
-from rig.model.mechanisms.hexapod import home_values
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
-    Mechanism,
-    has_links,
-    has_struts,
-    is_hexapod,
-    is_redundant,
-)
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links
+from rig.model.protocol_and_port_names import is_user_file_or_package
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -133,7 +125,9 @@ def design_of_entries(root: Entries) -> Design:
         targets=targets,
         sensor=_sensor(root.table("sensor", optional=True)),
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
-        controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
+        controller=controller_of_table(root.table("controller"), mechanism, actuator)
+        if "controller" in root.tree
+        else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
         tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
         tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism, gravity),
@@ -150,77 +144,6 @@ def _actuator(table: Entries) -> Actuator:
         table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
         table.number("max_speed", None, above=0, most=100, unit="m/s"),
     )
-
-
-def _controller(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Controller:
-    table.refuse_misspelt([field.name for field in fields(Controller)])
-    n = len(mechanism.axes)
-    if not has_struts(mechanism):
-        table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
-    if is_redundant(mechanism):
-        table.fail(f"[controller] drives six struts, and this platform has {n}: drive it by the lengths of rig correct")
-    protocol = _protocol(table)
-    axes, fits = table.get("axes", []), names.is_motor_record_name if protocol in names.MOTOR_RECORDS else str.isalnum
-    if (
-        not isinstance(axes, list)
-        or not all(isinstance(name, str) and fits(name) for name in axes)
-        or len(set(axes)) not in (0, n)
-    ):
-        table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
-    homing = table.flag("homing", True)
-    speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
-    step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
-    home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
-    if protocol in names.MOTOR_RECORDS and not axes:
-        table.fail(f"protocol {protocol} takes {table.name('axes')}: the names of {n} motor records", "protocol")
-    if protocol in names.TAKE_POSES:
-        if not is_hexapod(mechanism):
-            table.fail(f"protocol {protocol} drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
-        home = home_values(mechanism) if home is None else home
-    for keys, protocols in ((("work", "tool"), names.TAKE_POSES), (("angles",), names.STATE_ANGLES)):
-        for key in [key for key in keys if key in table.tree and protocol not in protocols]:
-            table.fail(f"{' and '.join(keys)} are stated of protocol {', '.join(protocols)}", key)
-    return Controller(
-        protocol,
-        _port(table, default=""),
-        table.whole("baudrate", 1, default=115200),
-        table.text("usb", default=""),
-        tuple(axes),
-        homing,
-        table.each("zero", n, 0.0, least=-LARGEST_RIG, most=LARGEST_RIG, unit="m"),
-        home,
-        speed,
-        table.each("max_acceleration", n, None, above=0, most=1000, unit="m/s^2"),
-        table.number("tolerance", default=1e-5, above=0, most=0.01, unit="m"),
-        step,
-        table.number("margin", default=0.1, least=0, most=1),
-        table.number("timeout", default=2.0, above=0, most=60, unit="s"),
-        table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
-        table.number("watchdog", default=1.0, above=0, most=60, unit="s"),
-        table.text("kinematics", ("joint", "world"), default="joint"),
-        table.text("password", default="EMC"),
-        table.text("enable_password", default="EMCTOO"),
-        table.text("ini", default=""),
-        table.pose("work") if "work" in table.tree else None,
-        table.pose("tool") if "tool" in table.tree else None,
-        table.text("angles", tuple(names.ANGLES), default="moving"),
-    )
-
-
-def _protocol(table: Entries) -> str:
-    stated = table.text("protocol")
-    if names.is_user_file_or_package(stated):
-        return user_program_entry(table, "protocol", stated)
-    if stated not in PROTOCOLS:
-        table.refuse("protocol", f"one of {', '.join(map(repr, PROTOCOLS))}, file:NAME.py or package:NAME", stated)
-    return stated
-
-
-def _port(table: Entries, default: str | Required = REQUIRED) -> str:
-    port = table.text("port", default=default)
-    if problem := names.port_problem(port):
-        table.fail(f"{table.name('port')}: {problem}", "port", value=port)
-    return port
 
 
 def base_tilt_of_table(table: Entries) -> BaseTilt:
@@ -282,7 +205,7 @@ def _sensors(table: Entries) -> SensorPort:
             value=channels,
         )
     stated = table.text("port")
-    port = user_program_entry(table, "port", stated) if names.is_user_file_or_package(stated) else _port(table)
+    port = user_program_entry(table, "port", stated) if is_user_file_or_package(stated) else port_of_table(table)
     return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 

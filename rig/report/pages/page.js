@@ -123,7 +123,7 @@ function showStruts(struts) {
       mark.style.left = place(value);
       track.append(mark);
     }
-    return element("div", { className: "strut" }, element("span", { textContent: k + 1 }), track, element("span", { textContent: `${strut.at.toFixed(3)} mm` }), element("span", { className: strut.room < 1 ? "room near" : "room", textContent: strut.room.toFixed(1), title: "mm to the nearer limit" }));
+    return element("div", { className: "strut" }, element("span", { textContent: k + 1 }), track, element("span", { textContent: `${strut.at.toFixed(3)} ${strut.unit}` }), element("span", { className: strut.room < 1 ? "room near" : "room", textContent: strut.room.toFixed(1), title: `${strut.unit} to the nearer limit` }));
   }));
 }
 

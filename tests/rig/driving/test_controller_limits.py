@@ -50,10 +50,10 @@ def test_a_gcs_with_a_shorter_travel_is_told_with_both_ends(driven_design):
     low, high = driver.mechanism.strut_range[4] * 1e3
     assert "strut 5" in line and f"to {high - 2:.3f} mm (TMN?, TMX?)" in line and f"to {high:.3f} mm" in line
     goals = np.tile(driver.mechanism.strut_range.mean(axis=1), (3, 1))
-    require_goals_within_limits(driver.limits(), goals, driver.controller.zero)
+    require_goals_within_limits(driver.limits(), goals, driver.controller.zero, driver.mechanism)
     goals[1, 4] = high * 1e-3 - 1e-3
     with pytest.raises(Unreachable, match=f"goal 2: strut 5 to {high - 1:.3f} mm.*to {high - 2:.3f} mm"):
-        require_goals_within_limits(driver.limits(), goals, driver.controller.zero)
+        require_goals_within_limits(driver.limits(), goals, driver.controller.zero, driver.mechanism)
 
 
 def test_a_gcs_that_does_not_know_the_question_is_driven_all_the_same(driven_design, monkeypatch):
@@ -69,7 +69,7 @@ def test_a_gcs_that_does_not_know_the_question_is_driven_all_the_same(driven_des
 def test_linuxcnc_limits_come_from_its_ini(driven_design, tmp_path):
     path = tmp_path / "machine.ini"
     path.write_text(INI)
-    found = limits_of_linuxcnc_ini(path, 6)
+    found = limits_of_linuxcnc_ini(path, ["m"] * 6)
     np.testing.assert_allclose(found.travel[0], [-0.02, 0.02])
     assert found.speed[0] == 5e-3 and found.acceleration[0] == 50e-3 and np.isnan(found.travel[1:]).all()
     design = replace(driven_design, controller=replace(driven_design.controller, ini=str(path)))

@@ -1,0 +1,54 @@
+"""Units in which axes are shown and controllers count them: mm of struts and slides, degrees of joints."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.model import mechanisms
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
+
+SHOWN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}  # {unit: (how many make one, name)}
+
+
+def counts_per_unit(units: Sequence[str], per_metre: float = 1e3) -> Floats:
+    """(n,) how much a controller counts per m or rad of each axis: degrees of joints.
+
+    units : "m" or "rad" of each; per_metre : of the others, by default mm
+    """
+    return np.array([SHOWN["rad"][0] if unit == "rad" else per_metre for unit in units])
+
+
+def value_text(value: float, unit: str, digits: int = 3) -> str:
+    """A value in m or rad as text, in mm or degrees."""
+    scale, name = SHOWN[unit]
+    return f"{value * scale:.{digits}f} {name}"
+
+
+def values_text(values: Floats, mechanism: Mechanism, digits: int = 4) -> str:
+    """Values (axes,) m or rad as text, in mm or degrees, the unit last where all have one."""
+    units = mechanisms.axis_units(mechanism)
+    texts = [value_text(float(value), unit, digits) for value, unit in zip(values, units)]
+    if len(set(units)) > 1:
+        return ", ".join(texts)
+    return " ".join(text.partition(" ")[0] for text in texts) + f" {SHOWN[units[0]][1]}"
+
+
+def greatest_distance_text(difference: Floats, mechanism: Mechanism, digits: int = 3) -> str:
+    """The greatest of differences (axes,) m or rad as text, of slides and joints each."""
+    units, sizes = mechanisms.axis_units(mechanism), np.abs(difference)
+    return " and ".join(
+        value_text(max(float(size) for size, one in zip(sizes, units) if one == unit), unit, digits)
+        for unit in dict.fromkeys(units)
+    )
+
+
+def thousandths_name(mechanism: Mechanism) -> str:
+    """Name of a thousandth of the axes' units: mm, mrad, or both."""
+    return " or ".join(f"m{unit}" for unit in dict.fromkeys(mechanisms.axis_units(mechanism)))
+
+
+def axes_word(mechanism: Mechanism) -> str:
+    """What the axes are called together: struts, joints, slides, or axes where they differ."""
+    words = set(mechanism.axis_words)
+    return f"{words.pop()}s" if len(words) == 1 else "axes"

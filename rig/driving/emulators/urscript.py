@@ -1,0 +1,134 @@
+"""Emulated controller of Universal Robots: movej and stopj as scripts, state on request, in packets over TCP.
+
+A movej that states its blend radius r is taken for a homing, as the protocol sends it.
+"""
+
+import re
+import select
+import socket
+import time
+
+import numpy as np
+
+from rig.array_and_json_types import Floats
+from rig.driving.clock import Clock
+from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_classes import LineEmulator
+from rig.driving.protocols.urscript import NORMAL, PLAYING, PROTECTIVE_STOP, RUNNING, STOPPED, URScript
+from rig.driving.universal_robots_port import MOST_OF_SOCKET, SCHEME, packet, state_text
+from rig.errors import RigError
+
+PERIOD = 0.008  # s between packets
+FAULT = 9  # the safety mode that only switching off and on ends
+SCRIPT = re.compile(
+    r"(?:(\d+) )?(state|stopj\(\d+(?:\.\d+)?\)|movej\(\[([^\]]*)\](?:, a=([\d.]+))?, v=([\d.]+)(, r=0)?\))"
+)
+
+
+class UniversalRobot(LineEmulator):
+    """See LineEmulator."""
+
+    protocol = URScript
+    _started = 0.0  # s, when it was last switched on
+
+    def __init__(self, machine: EmulatedMachine, faults: Faults, clock: Clock, limits: Floats) -> None:
+        super().__init__(machine, faults, clock, limits)
+        self.buffer = 4096  # a connection of TCP drops nothing
+        self.greet()
+
+    @property
+    def modes(self) -> tuple[int, int, int]:
+        """Robot mode, safety mode, program state."""
+        safety = FAULT if self.machine.deaf else PROTECTIVE_STOP if self.fault else NORMAL
+        return RUNNING, safety, PLAYING if self.activity in ("moving", "homing") else STOPPED
+
+    def packet(self) -> bytes:
+        """The state as a packet of the real-time interface."""
+        return packet(self.now - self._started, self.modes, self.positions.tolist())
+
+    def greet(self) -> None:
+        self._started = self.now
+
+    def answer(self, text: str) -> str | None:
+        found = SCRIPT.fullmatch(text)
+        if found is None:
+            return None  # a script that cannot be understood is shown at the pendant
+        number = found[1] or "0"
+        yes, no = f"{number} sent", f"{number} no"
+        if found[2] == "state":
+            return f"{number} {state_text(self.now - self._started, self.modes, self.positions.tolist())}"
+        if found[2].startswith("stopj"):
+            return self.stop(yes)
+        if found[6]:
+            return self.home(yes, no)
+        target = np.fromstring(found[3], sep=",")
+        if target.shape != (len(self.limits),):
+            return f"{no} {len(target)} joint positions"
+        far = np.abs(target - self.positions).max()
+        return self.move(target, float(far) / float(found[5]), yes, no)
+
+
+class RealTimeServer:
+    """TCP side of the real-time interface; see rig.driving.emulators.controller_emulator_opening_and_ports.Wire.
+
+    address : (host, port), port 0 for any that is free. Raises RigError where it cannot listen
+    """
+
+    def __init__(self, robot: UniversalRobot, address: tuple[str, int]) -> None:
+        try:
+            self._listening = socket.create_server(address)
+        except OSError as error:
+            raise RigError(f"cannot listen at {address[0]}:{address[1]}: {error}") from None
+        self._robot, self._callers, self._due = robot, list[socket.socket](), 0.0
+        host, port = self._listening.getsockname()[:2]
+        self.name = f"{SCHEME}://{host}:{port}"
+
+    def plug(self) -> None:
+        """The address stays."""
+
+    def wait(self, seconds: float) -> bytes:
+        data = b""
+        pause = max(min(seconds, self._due - time.monotonic()), 0.0)
+        for ready in select.select([self._listening, *self._callers], [], [], pause)[0]:
+            if ready is self._listening:
+                caller = ready.accept()[0]
+                caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                caller.setblocking(False)
+                self._callers.append(caller)
+                continue
+            try:
+                received = ready.recv(MOST_OF_SOCKET)
+            except OSError:
+                received = b""
+            if received:
+                data += received
+            else:
+                self._drop(ready)
+        if time.monotonic() >= self._due:
+            self._due = time.monotonic() + PERIOD
+            self._send_packets()
+        return data
+
+    def send(self, data: bytes) -> None:
+        """A robot answers no script."""
+
+    def cut(self) -> None:
+        for caller in list(self._callers):
+            self._drop(caller)
+
+    def close(self) -> None:
+        self.cut()
+        self._listening.close()
+
+    def _send_packets(self) -> None:
+        data = self._robot.packet()
+        for caller in list(self._callers):
+            try:
+                if caller.send(data) < len(data):  # a part of a packet would spoil all that follow
+                    self._drop(caller)
+            except OSError:
+                self._drop(caller)
+
+    def _drop(self, caller: socket.socket) -> None:
+        self._callers.remove(caller)
+        caller.close()
