@@ -155,11 +155,12 @@ def emulator_of_design(
 def home_lengths(mechanism: Commanded) -> Floats:
     """Home lengths or joint values (n,) m or rad, where [controller] home states none.
 
-    Those of the home pose; of what lies outside an axis's range the middle of it.
+    Those of the home pose; of what does not lie within an axis's range the middle of it.
     """
     module = mechanisms.kinematics_of(mechanism)
     home, ranges = module.home_values(mechanism), module.travel_ranges(mechanism)
-    return np.where(module.signed_limit_excess(home, mechanism) == 0, home, ranges.mean(axis=1))
+    low, high = ranges.T
+    return np.where((home > low) & (home < high), home, ranges.mean(axis=1))
 
 
 INSTANT = 1e-6  # s; a sum of times may round to just before

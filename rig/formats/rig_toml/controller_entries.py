@@ -51,6 +51,8 @@ def controller_of_table(table: Entries, mechanism: Mechanism, actuator: Actuator
         if has_struts(mechanism)
         else table.each("home", n, None, least=-LARGEST_RIG, most=LARGEST_RIG, units=units)
     )
+    if protocol == "urscript" and homing and home is None:
+        table.fail(f"{table.name('home')} must state where homing = true moves the arm", "homing")
     if protocol == "urscript" and (n != 6 or {*units} != {"rad"}):
         table.fail(f"protocol urscript drives six joints that turn; this machine has {n} axes", "protocol")
     if protocol in names.MOTOR_RECORDS and not axes:

@@ -1,0 +1,130 @@
+"""Arms and gantries driven as struts are: units on the wire, conformance, plan to run to calibration, refusals."""
+
+import json
+import threading
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from rig.cli import command_line
+from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.clock import SystemClock
+from rig.driving.emulators import controller_emulator_opening_and_ports as opening
+from rig.driving.emulators.driver_conformance_checks import check_conformance
+from rig.driving.emulators.emulated_axes_and_faults import Faults
+from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.errors import FileError, Unreachable
+from rig.formats.rig_toml.design_from_rig_toml import load_design
+from rig.model import mechanisms
+from rig.model.mechanism_geometry_classes import Arm
+from rig.model.pose import pose_to_vector
+
+INSTRUMENT = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-6\nrotation_sigma = 1e-6\n'
+FAST = "max_speed = 50.0\nmax_acceleration = 1000.0\n"
+MACHINES = {"urscript": ("ur10", ""), "grblhal": ("gantry", ""), "linuxcnc": ("stanford", "")}  # by what drives them
+
+
+def written(folder, arm, controller):
+    """rig.toml of a shipped arm with an instrument and a [controller]."""
+    path = folder / "rig.toml"
+    text = (files("rig") / "arms" / f"{arm}.toml").read_text()
+    path.write_text(f"{text}{INSTRUMENT}\n[controller]\n{controller}{FAST}")
+    return path
+
+
+@pytest.mark.parametrize("protocol", MACHINES)
+def test_every_arm_passes_the_conformance_checks(tmp_path, protocol):
+    design = load_design(written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n'))
+    checks = list(check_conformance(design, protocol, 40))
+    assert len(checks) == 28 and [(check.name, check.problem) for check in checks if check.problem] == []
+
+
+def test_joints_are_counted_in_degrees_and_slides_in_mm(tmp_path):
+    design = load_design(written(tmp_path, "stanford", 'protocol = "grblhal"\nport = "none"\n'))
+    units = mechanisms.axis_units(design.mechanism)
+    assert set(units) == {"m", "rad"}
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(design, "grblhal")
+    driver.open()
+    driver.home()
+    goal = emulator.machine.home + np.array([0.02 if unit == "rad" else 0.003 for unit in units])
+    driver.move(goal)
+    np.testing.assert_allclose(emulator.machine.axes.at(emulator.now), goal, atol=2e-5)
+    counted = counts_per_unit(units) * (goal - design.controller.zero)
+    np.testing.assert_allclose(emulator._counts * emulator.machine.counters(emulator.now), counted, atol=2e-3)
+
+
+def test_ranges_steps_and_speeds_of_joints_are_checked(tmp_path):
+    path = written(tmp_path, "ur10", 'protocol = "urscript"\nport = "none"\nmax_step = 0.5\n')
+    driver, emulator, _ = emulated_driver_with_emulator_and_clock(load_design(path), "urscript")
+    driver.open()
+    driver.trust()
+    start = driver.lengths()
+    with pytest.raises(Unreachable, match=r"joint 2: 400\.\d+ deg is outside -360"):
+        driver.move(start + np.eye(6)[1] * np.radians(400))
+    with pytest.raises(Unreachable, match=r"34\.377 deg, \[controller\] max_step allows 28\.648 deg"):
+        driver.move(start + np.eye(6)[2] * 0.6)
+    with pytest.raises(ValueError, match="exceeds the axes' max_speed"):
+        driver.move(start + np.eye(6)[2] * 0.1, speed=60.0)
+    driver.move(start + np.eye(6)[2] * 0.1)
+    assert len(emulator.machine.executed) == 1
+
+
+@pytest.mark.parametrize(
+    "arm, controller, says",
+    [
+        ("ur10", 'protocol = "gcs"\nport = "none"\n', "joints that turn take"),
+        ("panda", 'protocol = "urscript"\nport = "none"\n', "drives six joints"),
+        ("ur10", 'protocol = "urscript"\nport = "none"\nhoming = true\n', "must state where homing = true"),
+    ],
+)
+def test_controllers_that_do_not_suit_an_arm_are_refused(tmp_path, arm, controller, says):
+    with pytest.raises(FileError, match=says):
+        load_design(written(tmp_path, arm, controller))
+
+
+@pytest.mark.parametrize("protocol", MACHINES)
+def test_a_plan_is_run_and_calibrated_and_a_pose_gone_to(tmp_path, protocol, capsys):
+    path = written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n')
+    clock, design = SystemClock(), load_design(path)
+    emulator = opening.emulator_of_design(design, Faults(), clock, speed_factor=20.0)
+    wire, running = opening.tcp_wire(emulator, ("127.0.0.1", 0)), threading.Event()
+    served = threading.Thread(
+        target=opening.serve_emulator,
+        args=(emulator, wire, lambda: not running.is_set(), lambda name: None, lambda: None),
+        daemon=True,
+    )
+    served.start()
+    try:
+        rec, out = tmp_path / "rec", tmp_path / "calibration.json"
+        words = ["run", str(path), "--port", wire.name, "--plan", "sobol:24", "--settle", "time:0"]
+        assert command_line.main([*words, "--out", str(rec)]) == 0, capsys.readouterr().err
+        truth = design.mechanism
+        rows = np.array(truth.joints) + np.where(np.asarray(truth.joints) != 0, 2e-4, 0.0)
+        truth = Arm(rows, truth.limits, truth.base, truth.tool, truth.slides)
+        write_poses_of_visits(rec, truth)
+        assert command_line.main(["check", str(rec)]) == 0
+        assert command_line.main(["calibrate", str(rec), "--out", str(out)]) == 0, capsys.readouterr().err
+        strokes = truth.limits.mean(axis=1) + 0.1 * np.ptp(truth.limits, axis=1)
+        wanted = pose_to_vector(mechanisms.kinematics_of(truth).forward(strokes, truth))
+        capsys.readouterr()
+        pose = ",".join(f"{value:.9f}" for value in wanted)
+        words = ["go", str(out), "--rig", str(path), "--port", wire.name, f"--pose={pose}", "--json"]
+        assert command_line.main(words + (["--trust"] if protocol != "urscript" else [])) == 0, capsys.readouterr().err
+        gone = json.loads(capsys.readouterr().out)
+        reached = mechanisms.kinematics_of(truth).forward(emulator.machine.axes.at(clock.now()), truth)
+        off = pose_to_vector(reached)[:3] - wanted[:3]
+        assert gone["moved"] and np.linalg.norm(off) < 2e-4  # of some 1e-3 uncorrected
+    finally:
+        running.set()
+        served.join()
+        wire.close()
+
+
+def write_poses_of_visits(rec, truth):
+    """poses.csv of a run's visits, as an instrument sees a true arm."""
+    visits = np.genfromtxt(rec / "visits.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    q = np.stack([visits[name] for name in truth.axes], axis=-1)
+    vectors = pose_to_vector(mechanisms.kinematics_of(truth).forward(np.asarray(q, float), truth))
+    lines = [f"{frame}," + ",".join(f"{value:.10f}" for value in row) for frame, row in zip(visits["frame"], vectors)]
+    (rec / "poses.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *lines]) + "\n")
