@@ -149,7 +149,7 @@ def require_same_rig(
     nominal, mechanism = calibration.correction.nominal, require_axes(design.mechanism)
     names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
     if nominal.kind != mechanism.kind or not all(
-        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
+        np.allclose(nominal.geometry_arrays[name], mechanism.geometry_arrays[name], rtol=0, atol=1e-6) for name in names
     ):
         raise RigError(
             f"{calibration_path} is a calibration of another rig than {design_path}: their stated joints differ"

@@ -33,6 +33,7 @@ def written(folder, arm, controller):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", MACHINES)
 def test_every_arm_passes_the_conformance_checks(tmp_path, protocol):
     design = load_design(written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n'))
@@ -83,6 +84,7 @@ def test_controllers_that_do_not_suit_an_arm_are_refused(tmp_path, arm, controll
         load_design(written(tmp_path, arm, controller))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", MACHINES)
 def test_a_plan_is_run_and_calibrated_and_a_pose_gone_to(tmp_path, protocol, capsys):
     path = written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n')
