@@ -34,7 +34,7 @@ from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose, pose_to_vector
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import Poses
@@ -116,7 +116,7 @@ class PoseMove:
         lengths, covariance = self.lengths, self.covariance
         if self.calibration.physics is not None and not self.uncorrected:
             lengths, covariance = _lengths(self.calibration, self.wanted, driver.status().lengths)
-            require_reachable(lengths[None], require_axes(self.design.mechanism), ["the pose"])
+            require_reachable(lengths[None], require_hexapod(self.design.mechanism), ["the pose"])
         driver.move(lengths, speed)
         return replace(self, lengths=lengths, covariance=covariance, status=driver.status())
 
@@ -135,7 +135,7 @@ def plan_pose_move(
         lengths, covariance = correction.uncorrected(wanted), None
     else:
         lengths, covariance = _lengths(calibration, wanted, home)
-    require_reachable(np.array([lengths]), require_axes(design.mechanism), ["the pose"])
+    require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
     return PoseMove(design, calibration, wanted, lengths, uncorrected, covariance=covariance)
 
 
@@ -146,10 +146,10 @@ def require_same_rig(
 
     The paths, or names, are for the message.
     """
-    nominal, mechanism = calibration.correction.nominal, require_axes(design.mechanism)
+    nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
     names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
     if nominal.kind != mechanism.kind or not all(
-        np.allclose(nominal.geometry_arrays[name], mechanism.geometry_arrays[name], rtol=0, atol=1e-6) for name in names
+        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
     ):
         raise RigError(
             f"{calibration_path} is a calibration of another rig than {design_path}: their stated joints differ"
