@@ -159,6 +159,23 @@ def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
     assert left and left[0].place == Place("strut", "4") and left[0].depends_on == ("strut 1's position",)
 
 
+@pytest.mark.parametrize(("marker", "off"), [(None, 0.0), (8, 0.15)])
+def test_errors_of_a_corner_finder_that_recur_are_no_misplaced_marker(tmp_path, design, marker, off):
+    """off : px, by which one marker's corners are drawn apart, besides what the finder does to each in each camera."""
+    rec = recorded(tmp_path, design, [], route="sobol:80", noise=0.02)
+    corners, rng = rec.corners, np.random.default_rng(3)
+    seen = np.array(list(zip(map(ord, (c[-1] for c in corners.camera)), corners.marker, corners.corner)))
+    _, which = np.unique(seen, axis=0, return_inverse=True)
+    uv = corners.uv + 0.012 * rng.standard_normal((which.max() + 1, 2))[which]
+    if marker is not None:
+        own = corners.marker == marker
+        uv[own] += off * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])[corners.corner[own]]
+    point = operating_point_of_recording(replace(rec, corners=replace(corners, uv=uv)))[0]
+    left = find_lack_of_fit_by_place(refine_operating_point(point, Sensitivities(point)).model)
+    markers = [str(u.place) for u in left if u.place.kind == "marker"]
+    assert markers[:1] == ([] if marker is None else [f"marker {marker}"])
+
+
 def test_tangents_of_what_is_seen_are_derivatives(quiet):
     effect = parse_effect("camera_drift:cam1:motion=1e-4/2e-4/0/0/1e-4/0,time_constant=500")
     point = quiet.with_effects((effect,))
