@@ -133,7 +133,7 @@ def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
 
 
 def posture_sweep(arm: Arm, options: PostureOptions, step: float) -> PostureSweep:
-    """PostureSweep of an arm, as `rig arm posture --sweep` makes it, through the start or a solution of the hand's pose.
+    """PostureSweep of an arm, as `rig arm posture --sweep` makes it, through the start or a solution of a pose.
 
     options : T_base_hand, fixed and start count; step : rad, of slides m, of the fastest joint
     Raises RigError for what is of a search, for a hand that is elsewhere than stated, and what the sweep raises;
