@@ -24,16 +24,15 @@ class Controller:
     protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, epics-hexapod, urscript, "file:NAME.py" or
     "package:NAME"; baudrate : bit/s; usb : serial number or hardware id of the port, or ""
     port : device, or URL socket://, rfc2217://, ca:// (EPICS), xps:// (hxp), ur:// (urscript), loop:// (tests)
-    axes : the controller's names of them, () for usual ones; homing : whether it can home; without, the position that
-    it reads at the start is believed
-    zero : (n,) m or rad, an axis's value where the controller reads 0; home : (n,) m or rad, after homing, or None
+    axes : the controller's names of them, () for usual ones; homing : whether it can home; else its first reading is
+    believed; zero : (n,) m or rad, an axis's value where it reads 0; home : (n,) m or rad, after homing, or None
     max_speed : (n,) m/s or rad/s; max_acceleration : (n,) m/s^2 or rad/s^2, None for what the controller itself allows
     tolerance : m or rad, of a read-back; max_step : m or rad, largest change of one axis in a move, None for any
     margin : smallest share that the Jacobian's least singular value may have of its value at home; timeout : s, for an
     answer; home_timeout : s, for homing all axes; watchdog : s of silence after which a controller stops
-    kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics, takes poses)
-    password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
-    work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself
+    kinematics : "joint" (an axis word is an axis) or "world" (it has the inverse kinematics, takes poses); password,
+    enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
+    work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself;
     angles : of U, V, W in this order, about "moving" or "fixed" axes
     """
 
