@@ -89,6 +89,7 @@ NOT_COMPUTING = (
     "MOVES",
     "_file",
     ": TorqueBounds",
+    ": axis_units",
     ": require_arm",
     ": Strength",
     ": effect_description",

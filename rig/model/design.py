@@ -30,10 +30,9 @@ class Controller:
     tolerance : m or rad, of a read-back; max_step : m or rad, largest change of one axis in a move, None for any
     margin : smallest share that the Jacobian's least singular value may have of its value at home; timeout : s, for an
     answer; home_timeout : s, for homing all axes; watchdog : s of silence after which a controller stops
-    kinematics : "joint" (an axis word is an axis) or "world" (it has the inverse kinematics, takes poses); password,
-    enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
-    work, tool : T_base_work, T_platform_tool where it takes poses, None for the platform at home, and for itself;
-    angles : of U, V, W in this order, about "moving" or "fixed" axes
+    kinematics : "joint" (an axis word is an axis) or "world" (the controller takes poses)
+    password, enable_password : of linuxcncrsh; ini : path of LinuxCNC's .ini, whose limits are compared, or ""
+    work, tool : T_base_work, T_platform_tool, None at home and for itself; angles : of U V W, "moving" or "fixed" axes
     """
 
     protocol: str

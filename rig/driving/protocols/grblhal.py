@@ -4,8 +4,7 @@ Axes are counted in mm, joints in degrees, commanded by G-code lines and real-ti
 
 Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. The feed
 word holds what is known of the position: F0 since a start, F1 once greeted after one, more once homed, confirmed or
-moved. Source: Grbl 1.1 Interface and Commands
-(gnea/grbl wiki); grblHAL core, report.c, gcode.c and system.c.
+moved. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c, gcode.c and system.c.
 """
 
 import re
@@ -37,10 +36,8 @@ BUFFER = 64  # bytes of the receive buffer, where the controller does not say
 REPORTS = 12  # within which a controller says whether it is homed, if it ever does
 STANDS, STANDSTILL_POLL = 60.0, 0.1  # s in which a move that another process began may end; s between looks
 HOLD = 10.0  # s that a feed hold may take
-STATUS_REQUESTS = (
-    0.5,
-    2,
-)  # s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
+# s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
+STATUS_REQUESTS = (0.5, 2)
 READY = "G21G90G94"
 UNCONFIRMED, CONFIRMED = "F1", "F100"  # mm/min; of a position since the controller started
 SLOWEST = 2.0  # mm/min, of a move, so that its feed word is no F0 or F1
