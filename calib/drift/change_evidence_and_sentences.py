@@ -10,6 +10,7 @@ mean is one while nothing changes. Source: Pollak, Optimal detection of a change
 1985; Vovk and Wang, E-values, ibid. 2021
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -19,9 +20,11 @@ import scipy
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 
-from calib.drift.visit_equations_and_reference import GAP, GEOMETRY, GROWTH, OWN, SOFT, UNITS, Equations, Reference
+from calib.drift.visit_equations_and_reference import Equations, Reference, change_names, change_units
+from calib.models.covariance_parameters import covariance_parameters
 from rig.array_and_json_types import Floats
 from rig.model.arm_hands_effect_places_and_tolerances import Place
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_place_texts, axis_units
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely
@@ -37,13 +40,12 @@ STATED = {
     "target": 1e-3,
     "instrument": 1e-3,
 }  # m, rad; how far a place may be from where it counts from, before any visit
-LEFT_OUT = (
-    *(2e-5,) * 6,
-    5e-5,
-    5e-6,
-)  # m, share, kg/(N/m): what of OWN a calibration that held on its own day may have left out
-KINDS = ("camera", "target", "zero", "nut", "temperature", "payload")  # each as likely; "something" is one more
+# m or rad, share, kg/(N/m): what of play, growth and sag a calibration that held on its own day may have left out
+PLAY_LEFT_OUT, GROWTH_LEFT_OUT, SOFT_LEFT_OUT = 2e-5, 5e-5, 5e-6
+KINDS = ("camera", "target", "zero", "nut", "temperature", "payload")  # each as likely; "something" is one more, and
+# of machines whose parameters may change one at a time "parameter"
 SOMETHING = "something"
+TOOL = Place("target", "hand")  # where the target sits on an arm's hand, which an instrument sees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,7 @@ class Hypothesis:
     """kind : of KINDS; name : in words; columns : (q,) of the unknowns; size : (q,) their greatest plausible standard
     deviation, scaled
     unit : (q,) own units (m, rad, a share, kg/(N/m)) of a scaled unknown; prior : its probability, were there a
-        change; place : what moves, None where no place does."""
+        change; place : what moves, None where no place does; angle : whether it is one angle, rad."""
 
     kind: str
     name: str
@@ -60,41 +62,75 @@ class Hypothesis:
     unit: Floats
     prior: float
     place: Place | None = None
+    angle: bool = False
 
 
-def change_hypotheses(reference: Reference) -> list[Hypothesis]:
-    """Hypotheses of all changes that may happen to a rig."""
-    places = 6 * len(reference.places)
-    own, zeros = places + GEOMETRY, places + GEOMETRY - 6
-    found: list[tuple[str, str | Place, list[int], float, float]] = []
-    for k, place in enumerate(reference.places):
-        kind = "target" if place.kind == "target" else "camera"
-        found.append((kind, place, list(range(6 * k, 6 * k + 6)), PLACE_SIZE, POSE_SCALE))
-    found += [("zero", f"zero of strut {i + 1}", [zeros + i], ZERO_SIZE, POSE_SCALE) for i in range(6)]
-    found += [("nut", OWN[i], [own + i], GAP_SIZE, GAP) for i in range(6)]
-    found += [("temperature", OWN[6], [own + 6], GROWTH_SIZE, GROWTH), ("payload", OWN[7], [own + 7], SOFT_SIZE, SOFT)]
-    members = {kind: sum(one[0] == kind for one in found) for kind in KINDS}
+def change_hypotheses(reference: Reference, mechanism: Commanded) -> list[Hypothesis]:
+    """Hypotheses of all changes that may happen to a rig with a mechanism."""
+    machine, names, axes = covariance_parameters(mechanism), change_names(mechanism), axis_place_texts(mechanism)
+    geometry, units = 6 * len(reference.places), axis_units(mechanism)
+    own = geometry + len(machine.names)
+    moving: list[tuple[Place, list[int]]] = [
+        (place, list(range(6 * k, 6 * k + 6))) for k, place in enumerate(reference.places)
+    ]
+    if machine.tool and not reference.cameras:
+        moving.append((TOOL, [geometry + k for k in machine.tool]))
+    found = [
+        (
+            "target" if place.kind == "target" else "camera",
+            str(place),
+            columns,
+            PLACE_SIZE,
+            POSE_SCALE,
+            POSE_SCALE,
+            place,
+            "",
+        )
+        for place, columns in moving
+    ]
+    single = [
+        *(("zero", f"zero of {axis}", k, unit) for axis, k, unit in zip(axes, machine.zeros, units)),
+        *(("parameter", machine.names[k], k, machine.units[k]) for k in machine.single),
+    ]
+    found += [
+        (kind, name, [geometry + k], ZERO_SIZE, POSE_SCALE, POSE_SCALE * float(machine.scale[k]), None, unit)
+        for kind, name, k, unit in single
+    ]
+    kinds = [*(("nut", GAP_SIZE, unit) for unit in units), ("temperature", GROWTH_SIZE, ""), ("payload", SOFT_SIZE, "")]
+    found += [
+        (kind, name, [own + k], size, count, count, None, unit)
+        for k, ((kind, size, unit), name, count) in enumerate(zip(kinds, names, change_units(mechanism)))
+    ]
+    members = Counter(kind for kind, *_ in found)
     return [
         Hypothesis(
             kind,
-            str(what),
+            name,
             np.array(columns),
-            np.full(len(columns), size / unit),
-            np.full(len(columns), unit),
-            1 / (len(KINDS) + 1) / members[kind],
-            what if isinstance(what, Place) else None,
+            np.full(len(columns), size / count),
+            np.full(len(columns), own_unit),
+            1 / (len({*KINDS, *members}) + 1) / members[kind],
+            place,
+            unit == "rad",
         )
-        for kind, what, columns, size, unit in found
+        for kind, name, columns, size, count, own_unit, place, unit in found
     ]
 
 
-def prior_information_of_constants_between_visits(reference: Reference, covariance: Floats) -> Floats:
+def prior_information_of_constants_between_visits(
+    reference: Reference, covariance: Floats, mechanism: Commanded
+) -> Floats:
     """Prior information (p, p), scaled, in what stays constant between visits."""
     places = np.concatenate([np.full(6, POSE_SCALE / STATED[place.kind]) for place in reference.places])
     values, vectors = np.linalg.eigh(covariance / POSE_SCALE**2)
     values = np.maximum(values, values[-1] * 1e-12)
+    left_out = np.array([*(PLAY_LEFT_OUT,) * len(mechanism.axes), GROWTH_LEFT_OUT, SOFT_LEFT_OUT])
     return np.asarray(
-        block_diag(np.diag(places**2), vectors / values @ vectors.T, np.diag((np.array(UNITS) / LEFT_OUT) ** 2))
+        block_diag(
+            np.diag(places**2),
+            vectors / values @ vectors.T,
+            np.diag((np.array(change_units(mechanism)) / left_out) ** 2),
+        )
     )
 
 
@@ -107,7 +143,8 @@ UNSAID = 1e-6  # chance beyond which what the likeliest change leaves is no nois
 class Suspect:
     """A change that is thought of. kind, name, place as in Hypothesis; since : index of the first visit with it,
     0 the first of all
-    odds : its probability, were there a change; value, sigma : (q,) in own units, none of what has no name."""
+    odds : its probability, were there a change; value, sigma : (q,) in own units, none of what has no name
+    angle : as in Hypothesis"""
 
     kind: str
     name: str
@@ -116,6 +153,7 @@ class Suspect:
     value: Floats
     sigma: Floats
     place: Place | None = None
+    angle: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +225,14 @@ def change_verdict(
                 (
                     np.log(h.prior) + weight,
                     Suspect(
-                        h.kind, h.name, onset[k], 0.0, value * h.unit, np.sqrt(np.diag(covariance)) * h.unit, h.place
+                        h.kind,
+                        h.name,
+                        onset[k],
+                        0.0,
+                        value * h.unit,
+                        np.sqrt(np.diag(covariance)) * h.unit,
+                        h.place,
+                        h.angle,
                     ),
                 )
             )
@@ -263,10 +308,11 @@ REMEASURE = {
     "nut": "inspect the nut and bearings of that strut; record a ladder (rig run RIG.toml --plan ladder) and diagnose "
     "it; until then approach "
     "every pose from the same side",
-    "temperature": "bring the machine to its calibration temperature, or log its "
-    "struts' temperatures and "
-    "record the standard "
-    "plan warm and cold",
+    "play": "inspect gear and bearings of that axis; record the standard plan (rig run RIG.toml --plan standard) and "
+    "run rig diagnose; until then approach every pose from the same side",
+    "parameter": "inspect that part; record new poses (rig plan RIG.toml --for parameters) and recalibrate",
+    "temperature": "bring the machine to its calibration temperature, or log the temperatures of its parts and record "
+    "the standard plan warm and cold",
     "payload": "state the load on the platform (payload_mass_kg in sensors.csv); record a plan with payload steps "
     "(--plan payload) and "
     "calibrate with the diagnosis",
@@ -327,6 +373,8 @@ def _key(named: Suspect | None, reference: Reference) -> str:
         return SOMETHING
     if named.place is not None and named.kind == "target":
         return "base" if named.place.name in reference.base else "platform"
+    if named.kind == "nut" and named.name.startswith("play"):
+        return "play"
     return "instrument" if named.place == Place("instrument") else named.kind
 
 
@@ -344,21 +392,21 @@ def _suspect_with_size(one: Suspect, reference: Reference) -> str:
     value, sigma = float(one.value[0]), float(one.sigma[0])
     if one.kind == "temperature":
         return (
-            f"all struts grew by {value * 1e6:.1f} +- {2 * sigma * 1e6:.1f} um/m (k=2), {value / STEEL:+.1f} K "
-            "of steel: a new temperature"
+            f"{one.name.removeprefix('growth of ')} grew by {value * 1e6:.1f} +- {2 * sigma * 1e6:.1f} um/m (k=2), "
+            f"{value / STEEL:+.1f} K of steel: a new temperature"
         )
     if one.kind == "payload":
         return (
-            f"struts yield to {value:.2e} +- {2 * sigma:.1e} kg/(N/m) (k=2) of added load over stiffness: "
-            "another payload"
+            f"axes yield to {value:.2e} +- {2 * sigma:.1e} kg/(N/m) (k=2) of added load over stiffness: another payload"
         )
     grown = (
         "play grew by"
         if one.since
         else "play that the calibration does not model, present from the beginning or grown since,"
     )
-    word = {"zero": "the zero moved by", "nut": grown}[one.kind]
-    return f"{one.name}: {word} {value * 1e3:+.4f} +- {2 * sigma * 1e3:.4f} mm (k=2)"
+    word = {"zero": "the zero moved by", "nut": grown, "parameter": "changed by"}[one.kind]
+    unit = "mrad" if one.angle else "mm"
+    return f"{one.name}: {word} {value * 1e3:+.4f} +- {2 * sigma * 1e3:.4f} {unit} (k=2)"
 
 
 def _power(log: float) -> str:

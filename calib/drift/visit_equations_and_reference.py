@@ -2,8 +2,8 @@
 
 Equations in places, geometry and machine changes; the first visit is the reference.
 
-Unknowns, in this order: six for each camera and target (or for the instrument), the geometry's 42, the eight of
-calib.drift.change_evidence_and_sentences.
+Unknowns, in this order: six for each camera and target (or for the instrument), the geometry as a calibration's
+covariance counts it, play of each axis, growth, sag.
 Poses and lenses, which every visit has for itself, are eliminated.
 """
 
@@ -15,17 +15,23 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.models.platform.identification import inverse_strut_length_jacobian, pose_parameter_jacobian
-from calib.samples.pose_samples import Samples, sample_recording
+from calib.models.covariance_parameters import covariance_parameters, pose_scatter_covariance
+from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
 from rig.model import motion_simulation
-from rig.model.arm_hands_effect_places_and_tolerances import Place
+from rig.model.arm_hands_effect_places_and_tolerances import Place, hand_names
 from rig.model.design import Camera, Design, Platform
-from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.pose import log, skew
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    axis_place_texts,
+    has_struts,
+    is_parallel,
+    is_redundant,
+    require_axes,
+)
+from rig.model.pose import exp, log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
 from vision.bundle.priors_of_unknowns import adjustment_unknowns
@@ -40,7 +46,7 @@ from vision.recording_adjustment import Measurement
 class Reference:
     """cameras : (Camera, ...) as the first visit found them; places : what may move, cameras, targets of base and
     platform, or the instrument; base : names of the targets on the base; targets : a mark of where rig.toml
-    states all markers."""
+    states all markers, "none" where an instrument measured."""
 
     cameras: tuple[Camera, ...]
     places: tuple[Place, ...]
@@ -53,7 +59,7 @@ class Reference:
         RigError for a camera that moves.
         """
         if measured is None:
-            return cls((), (Place("instrument"),), (), "")
+            return cls((), (Place("instrument"),), (), "none")
         cameras = measured.design.cameras
         moving = [camera.name for camera in cameras if camera.mount == "moving"]
         if moving:
@@ -111,35 +117,47 @@ def _mark(design: Design) -> str:
     return sha256(np.r_[markers.id, np.round(markers.corners, 7).ravel()].tobytes()).hexdigest()[:16]
 
 
-GAP = 1e-4  # m, of a worn nut: unit of its columns, and the play at which they are taken
-GROWTH = 1e-4  # share by which all struts grow: unit of its column; 9 K of steel
-SOFT = 1e-5  # kg / (N/m), added load over a strut's stiffness: unit of its column; 10 kg on struts of 1e6 N/m
-OWN = (*(f"nut of strut {i + 1}" for i in range(6)), "growth of all struts", "sag under added load")
-UNITS = (*(GAP,) * 6, GROWTH, SOFT)
+GAP = 1e-4  # m or rad, of a worn nut or joint: unit of its columns, and the play at which they are taken
+GROWTH = 1e-4  # share by which all members grow: unit of its column; 9 K of steel
+SOFT = 1e-5  # kg / (N/m) or kg / (N m/rad), added load over an axis' stiffness: unit of its column; 10 kg on 1e6
 AT_ORIGIN = Platform(
     1.0, np.zeros(3), np.zeros(3)
 )  # where nobody states the platform's: the added load then sits at its origin
 
 
-def fitted_hexapod(calibration: Calibration) -> Hexapod:
-    """Hexapod with the geometry that a calibration fitted.
+def change_names(mechanism: Commanded) -> tuple[str, ...]:
+    """Names of the changes of a machine beyond its geometry: play of each axis, growth, sag."""
+    axes, struts = axis_place_texts(mechanism), has_struts(mechanism)
+    play = tuple(f"nut of {axis}" if struts else f"play of {axis}" for axis in axes)
+    return (*play, "growth of all struts" if struts else "growth of all members", "sag under added load")
 
-    Raises RigError for a calibration of another mechanism.
+
+def change_units(mechanism: Commanded) -> tuple[float, ...]:
+    """Units of the columns of `change_names`: m or rad, a share, kg/(N/m) or kg/(N m/rad)."""
+    return (*(GAP,) * len(mechanism.axes), GROWTH, SOFT)
+
+
+def watched_machine(calibration: Calibration) -> Commanded:
+    """The machine with the geometry that a calibration fitted.
+
+    Raises RigError for a platform on more than six struts and an arm with several hands.
     """
-    return require_hexapod(
-        calibration.correction.fitted, "watching requires a hexapod, not a mechanism of kind {kind!r}"
-    )
+    fitted = require_axes(calibration.correction.fitted)
+    if is_redundant(fitted) or hand_names(fitted):
+        several = f"{len(fitted.axes)} struts" if is_redundant(fitted) else "several hands"
+        raise RigError(f"watching does not support a machine with {several}")
+    return fitted
 
 
 def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransform:
-    """T_base_platform (n,) that the calibration gives for the commands of samples, physics that it knows included."""
+    """T_base_platform (n,) that the calibration gives for the commands of samples, physics of its axes included."""
     return calibration.correction.predict(samples.effective)
 
 
 def machine_change_columns(
-    mechanism: Hexapod, design: Design, commands: Commands, t: Floats, T: RigidTransform
+    mechanism: Commanded, design: Design, commands: Commands, t: Floats, T: RigidTransform
 ) -> Floats:
-    """Columns (n, 6, 8) of machine changes.
+    """Columns (n, 6, axes + 2) of machine changes, in the order of `change_names`.
 
     Pose tangents (m, rad) per unit of each change, at exposures t (n,) s.
     """
@@ -158,18 +176,20 @@ def machine_change_columns(
     def sagging(motion: Motion) -> Floats:
         return motion.lengths - motion.loads() / (1 / SOFT) - goals
 
-    motion, nuts = moved(), np.eye(6)
+    motion, axes = moved(), len(mechanism.axes)
     play = play_deviation(motion, GAP / 2)
-    growth = motion.kind.axis_deviation_and_sway_by_member_growth(
+    growth, sway = motion.kind.axis_deviation_and_sway_by_member_growth(
         T, motion.lengths, mechanism, np.full(play.shape, GROWTH)
-    )[0]
-    out = [motion.lengths + deviation - goals for deviation in (*(nut * play for nut in nuts), growth)]
+    )
+    out = [motion.lengths + deviation - goals for deviation in (*(axis * play for axis in np.eye(axes)), growth)]
     out.append(sagging(moved(payload_mass_kg=np.ones(2))) - sagging(motion))
-    return inverse_strut_length_jacobian(T, mechanism) @ np.stack(out, axis=-1)
+    columns = covariance_parameters(mechanism).axis_jacobian(goals, T) @ np.stack(out, axis=-1)
+    columns[..., axes] += sway
+    return columns
 
 
-GEOMETRY = 42
-REPEATS = 1e-6  # m, to which struts repeat at the best, where the calibration found no scatter
+REPEATS = 1e-6  # m or rad, to which axes or poses repeat at the best, where the calibration found no scatter
+LOOSE = 1e-2  # m, rad; of coordinates of the platform that no axis moves: they say how the target sits on it
 SEEN = 1e-10  # of the best determined direction's information; a frame that nothing holds has less
 FREE = ("poses", "lenses", "targets")
 
@@ -213,7 +233,7 @@ def visit_equations_and_reference(
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
         what measuring raises
     """
-    mechanism = fitted_hexapod(calibration)
+    mechanism = watched_machine(calibration)
     if recording.design.mechanism.kind != mechanism.kind:
         raise RigError(
             f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the "
@@ -221,31 +241,45 @@ def visit_equations_and_reference(
             f"{mechanism.kind!r}"
         )
     sampled = sample_recording(recording, FREE)
-    reference = reference or Reference.of(recording.design, sampled.measurement)
-    reference.refuse(recording, sampled.measurement is not None)
+    # of a platform of fewer freedoms what cameras measured counts like an instrument's poses
+    measured = sampled.measurement if len(mechanism.pose_coordinates) == 6 else None
+    reference = reference or Reference.of(recording.design, measured)
+    reference.refuse(recording, measured is not None)
     samples = calibration.with_physics(recording, sampled.samples)
     T = _expected_poses(calibration, samples)
-    seen = (
-        _by_instrument(samples, T)
-        if sampled.measurement is None
-        else _by_cameras(sampled.measurement, samples, T, reference)
-    )
+    seen = _by_instrument(samples, T) if measured is None else _by_cameras(measured, samples, T, reference)
     return _of_machine(seen, T, recording, calibration), reference
 
 
 def _by_instrument(samples: Samples, T: RigidTransform) -> _Seen:
     """What an outside instrument's poses say: T (n,) expected; its one place is its frame's motion in the base."""
     n = len(samples)
-    own = np.linalg.inv(samples.covariance)
+    measured, own = _measured_poses_and_information(samples, T)
     D = np.zeros((6 * n, 6 * n))
     for f in range(n):
         D[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] = own[f]
     K = samples.common.reshape(6 * n, -1)
     if K.shape[1]:
         D -= D @ K @ np.linalg.solve(np.eye(K.shape[1]) + K.T @ D @ K, K.T @ D)
-    J = np.concatenate([np.eye(6 * n), base_motion_columns(samples.T_base_platform).reshape(6 * n, 6)], axis=1)
-    y = log(T.inv() * samples.T_base_platform).ravel()
+    J = np.concatenate([np.eye(6 * n), base_motion_columns(measured).reshape(6 * n, 6)], axis=1)
+    y = log(T.inv() * measured).ravel()
     return _Seen(J.T @ D @ J * POSE_SCALE**2, J.T @ D @ y * POSE_SCALE, samples)
+
+
+def _measured_poses_and_information(samples: Samples, T: RigidTransform) -> tuple[RigidTransform, Floats]:
+    """(measured poses (n,), what was not measured of them as expected, T (n,); their information (n, 6, 6)). Raises
+    RigError for directions and distances.
+    """
+    known = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}.get(samples.measured)
+    if known is None:
+        raise RigError(f"watching requires poses, positions or orientations, not a {samples.measured}")
+    information = np.zeros(samples.covariance.shape)
+    information[:, known, known] = pose_covariance_pseudoinverse(samples.covariance[:, known, known])
+    seen = samples.T_base_platform
+    return RigidTransform.from_components(
+        T.translation if samples.measured == "orientation" else seen.translation,
+        T.rotation if samples.measured == "position" else seen.rotation,
+    ), information
 
 
 def base_motion_columns(T: RigidTransform) -> Floats:
@@ -271,7 +305,8 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     blocks = normal_equations(used, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}
     at |= {Place("camera", a.state.cameras[i].name): s for i, s in u.poses.items()}
-    away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])
+    platform = a.state.platform if samples.sway is None else a.state.platform * exp(-samples.sway)
+    away = np.concatenate([log(T.inv() * platform).ravel() / POSE_SCALE, np.zeros(u.shared)])
     N = np.zeros((len(away), len(away)))
     for f in range(len(samples)):
         rows = slice(6 * f, 6 * f + 6)
@@ -309,8 +344,8 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
 
 
 def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibration: Calibration) -> Equations:
-    """Equations of a visit in which poses (n,) follow from the machine, each strut to within what it repeats to."""
-    mechanism, samples = fitted_hexapod(calibration), seen.samples
+    """Equations of a visit in which poses (n,) follow from the machine, all to within what it repeats to."""
+    mechanism, samples = watched_machine(calibration), seen.samples
     n = 6 * len(samples)
     values, vectors = np.linalg.eigh(seen.information)
     held = values > SEEN * values[-1]
@@ -320,14 +355,19 @@ def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibratio
     changed = (
         machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE
     )  # its units are its own
-    of_machine = np.concatenate([pose_parameter_jacobian(T, mechanism), changed], axis=2).reshape(n, -1)
+    geometry = covariance_parameters(mechanism).jacobian(samples.effective, T)
+    of_machine = np.concatenate([geometry, changed], axis=2).reshape(n, -1)
     places = len(seen.right) - n
     M = np.zeros((len(seen.right), n + places + of_machine.shape[1]))
     M[:, : n + places] = np.eye(n + places)
     M[:n, n + places :] = of_machine
     N, b = M.T @ seen.information @ M, M.T @ seen.right
-    spread = inverse_strut_length_jacobian(T, mechanism) * np.sqrt(calibration.scatter**2 + REPEATS**2) / POSE_SCALE
-    tight = np.linalg.inv(spread @ np.swapaxes(spread, 1, 2))
+    scatter = np.sqrt(calibration.scatter**2 + REPEATS**2)
+    spread = pose_scatter_covariance(mechanism, scatter, T)
+    some = covariance_parameters(mechanism).axis_jacobian(samples.effective, T)
+    if is_parallel(mechanism) and some.shape[2] < 6:
+        spread = spread + LOOSE**2 * (np.eye(6) - some @ np.linalg.pinv(some))
+    tight = np.linalg.inv(spread / POSE_SCALE**2)
     for f in range(len(samples)):
         N[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] += tight[f]
     own = np.arange(n)

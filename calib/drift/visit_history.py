@@ -18,7 +18,12 @@ from calib.drift.change_evidence_and_sentences import (
     prior_information_of_constants_between_visits,
     whitened_squares_unexplained_by_constants,
 )
-from calib.drift.visit_equations_and_reference import GEOMETRY, OWN, Equations, Reference, visit_equations_and_reference
+from calib.drift.visit_equations_and_reference import (
+    Equations,
+    Reference,
+    visit_equations_and_reference,
+    watched_machine,
+)
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
@@ -99,17 +104,17 @@ def add_visit_and_judge_change(
                 "is a new recording"
             )
     equations, reference = visit_equations_and_reference(recording, calibration, history.reference)
-    before, constants = (
-        [visit.equations for visit in history.visits],
-        prior_information_of_constants_between_visits(reference, calibration.covariance),
-    )
+    mechanism, before = watched_machine(calibration), [visit.equations for visit in history.visits]
+    constants = prior_information_of_constants_between_visits(reference, calibration.covariance, mechanism)
+    if len(equations.right) != len(constants) or any(len(one.right) != len(constants) for one in before):
+        raise RigError("the history has another number of unknowns than this calibration; begin a new history")
     square = whitened_squares_unexplained_by_constants([*before, equations], constants) - (
         whitened_squares_unexplained_by_constants(before, constants) if before else 0.0
     )
     squares = [*((visit.square, visit.count) for visit in history.visits), (square, equations.count)]
     first = history.visits[0].visits if history.visits else 1
     verdict = change_verdict(
-        [*before, equations], squares, history.scale(), constants, change_hypotheses(reference), first
+        [*before, equations], squares, history.scale(), constants, change_hypotheses(reference, mechanism), first
     )
     visit = Visit(
         recording.folder.resolve().name, equations, square, equations.count, verdict.log_sum, 1, not verdict.alarm
@@ -211,7 +216,8 @@ def read_history(path: Path | str, calibration_sha256: str) -> History:
     places = tree.texts("places")
     if not 0 < len(places) <= MOST_PLACES:
         tree.fail(f"places has {len(places)} names; a rig has 1 to {MOST_PLACES}", "places")
-    unknowns = 6 * len(places) + GEOMETRY + len(OWN)
+    stored = tree.tables("visits")
+    unknowns = len(stored[0].array("right", (None,))) if stored else 0
     reference = Reference(
         tuple(_camera(table) for table in tree.tables("cameras")),
         tuple(map(Place.parse, places)),
@@ -219,10 +225,7 @@ def read_history(path: Path | str, calibration_sha256: str) -> History:
         tree.text("targets"),
     )
     return History(
-        calibration_sha256,
-        reference,
-        tuple(_visit(table, unknowns) for table in tree.tables("visits")),
-        frozenset(tree.texts("data")),
+        calibration_sha256, reference, tuple(_visit(table, unknowns) for table in stored), frozenset(tree.texts("data"))
     )
 
 
