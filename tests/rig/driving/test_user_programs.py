@@ -51,7 +51,7 @@ def test_a_path_is_relative_to_rig_toml_and_reading_runs_nothing(tmp_path, monke
         ("file:/etc/mine.py", r"rig.toml:\d+:\d+: controller.protocol: expected file:NAME.py, a path relative"),
         ("file:mine.txt", "expected file:NAME.py"),
         ("package:a b", "expected package:NAME"),
-        ("grbhal", "one of 'grblhal', .* 'struts', 'epics', file:NAME.py or package:NAME"),
+        ("grbhal", "one of 'grblhal', .* 'struts', 'epics', .*, file:NAME.py or package:NAME"),
     ],
 )
 def test_what_is_no_program_is_refused_with_its_line(tmp_path, protocol, message):

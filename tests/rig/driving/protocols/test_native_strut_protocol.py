@@ -156,6 +156,7 @@ def driven(driven_design, terminal):
         protocol="struts",
         port=terminal,
         zero=low - 1e-3,
+        home=None,
         max_speed=np.full(6, 0.02),
         max_acceleration=np.full(6, 0.5),
     )
