@@ -54,7 +54,8 @@ def controller_of_table(table: Entries, mechanism: Mechanism, actuator: Actuator
     if protocol == "urscript" and homing and home is None:
         table.fail(f"{table.name('home')} must state where homing = true moves the arm", "homing")
     if protocol == "urscript" and (n != 6 or {*units} != {"rad"}):
-        table.fail(f"protocol urscript drives six joints that turn; this machine has {n} axes", "protocol")
+        words = ", ".join(mechanism.axis_words)
+        table.fail(f"protocol urscript drives six joints that turn; this machine's axes are {words}", "protocol")
     if protocol in names.MOTOR_RECORDS and not axes:
         table.fail(f"protocol {protocol} takes {table.name('axes')}: the names of {n} motor records", "protocol")
     if protocol in names.TAKE_POSES:

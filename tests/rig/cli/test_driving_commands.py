@@ -108,7 +108,7 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
     for words, why in (
         (("jog", rig, "--by", "500"), "beyond what the struts reach"),
         (("jog", rig, "--strut", "7", "--by", "1"), "--strut takes 1 .. 6"),
-        (("jog", rig, "--to", "1,2"), "6 lengths separated by commas"),
+        (("jog", rig, "--to", "1,2"), "6 values separated by commas"),
         (("jog", rig, "--by", "1", "--speed", "2"), "share above 0"),
         (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.9,0,0,0"), "cannot be reached"),
         (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.45"), "six figures"),

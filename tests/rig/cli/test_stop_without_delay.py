@@ -19,6 +19,7 @@ from rig.driving.protocols import protocol_of_controller
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS
 from rig.planning.layout import hexapod_layout_and_camera_placement
+from rig.planning.layout.shipped_arms_and_layouts import shipped_arm_path
 from tests.conftest import ROOT
 from tests.emulated_run import controller_text
 
@@ -51,6 +52,8 @@ def stated(request, tmp_path):
     ours, theirs = os.openpty()
     path = tmp_path / "rig.toml"
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=1)
+    if request.param == "urscript":
+        text = shipped_arm_path("ur10").read_text()
     path.write_text(text + controller_text(request.param, os.ttyname(theirs)))
     yield request.param, path, ours
     os.close(ours)
