@@ -26,15 +26,18 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.correct import CorrectionResult, CorrectOptions, correct, rms_and_greatest_uncertainty
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
+from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.array_and_json_types import Floats, Json
+from rig.driving.axis_units_and_distances import values_text
 from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import pose, pose_to_vector
 from rig.recording.recording_folder import Sensors
 from rig.recording.recording_tables import Poses
@@ -43,9 +46,10 @@ from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMove:
-    """A move to a pose. design; calibration; wanted : T_base_platform; lengths : (axes,) m to command; uncorrected :
-    whether these are by the nominal model; status : once it has been made, else None; covariance : (6, 6) m and rad, on
-    the right, of the pose that the lengths give, None where they are not corrected
+    """A move to a pose. design; calibration, of an arm in the posture chosen; wanted : T_base_platform; lengths :
+    (axes,) m, of joints rad, to command; uncorrected : whether these are by the nominal model; status : once it has
+    been made, else None; covariance : (6, 6) m and rad, on the right, of the pose that the lengths give, None where
+    they are not corrected
     """
 
     design: Design
@@ -58,8 +62,8 @@ class PoseMove:
 
     @property
     def off_nominal(self) -> Floats:
-        """(axes,) m by which the lengths differ from the nominal model's."""
-        return self.lengths - self.calibration.correction.uncorrected(self.wanted)
+        """(axes,) m or rad by which the lengths differ from the nominal model's."""
+        return self.lengths - self.calibration.correction.uncorrected(_as_batch(self.wanted))[0]
 
     @property
     def remainder(self) -> RigidTransform | None:
@@ -69,7 +73,7 @@ class PoseMove:
         return self.wanted.inv() * self.pose_at(self.status.lengths)
 
     def pose_at(self, lengths: Floats) -> RigidTransform:
-        """T_base_platform by the calibration where the struts read lengths (axes,) m after this move."""
+        """T_base_platform by the calibration where the axes read lengths (axes,) m or rad after this move."""
         correction = self.calibration.correction
         return correction.predict(correction.inverse_without_physics(self.wanted) + lengths - self.lengths)
 
@@ -80,7 +84,7 @@ class PoseMove:
 
     @property
     def within(self) -> tuple[float, float] | None:
-        """(m, rad) within which the platform is of the wanted pose, k=2: what the struts left of the way, and the
+        """(m, rad) within which the platform is of the wanted pose, k=2: what the axes left of the way, and the
         calibration's own uncertainty; None before the move and uncorrected.
         """
         left, own = self.remainder, self.uncertainty
@@ -90,7 +94,8 @@ class PoseMove:
         return float(np.hypot(sizes[0], 2 * own[0])), float(np.hypot(sizes[1], 2 * own[1]))
 
     def __str__(self) -> str:
-        return f"{'to command' if self.status is None else 'commanded'}: {self.lengths * 1e3} mm"
+        shown = values_text(self.lengths, self.design.mechanism)
+        return f"{'to command' if self.status is None else 'commanded'}: {shown}"
 
     def tree(self) -> Json:
         """What `rig go --json` prints."""
@@ -108,35 +113,49 @@ class PoseMove:
             tree |= {"left": pose_to_vector(self.remainder).tolist(), "within": list(self.within)}
         return tree
 
-    def carry_out(self, driver: Driver, speed: float = 1.0) -> "PoseMove":
-        """The same once made: from where the struts stand, not from home. speed : share of the greatest
+    def carry_out(
+        self, driver: Driver, speed: float = 1.0, report: Callable[["PoseMove"], None] | None = None
+    ) -> "PoseMove":
+        """The same once made: from where the axes stand, not from home. speed : share of the greatest
 
-        Raises Unreachable for lengths out of range, MotionError where the struts do not arrive
+        report : takes the move from there, before it begins
+        Raises Unreachable for lengths out of range, MotionError where the axes do not arrive
         """
-        lengths, covariance = self.lengths, self.covariance
-        if self.calibration.physics is not None and not self.uncorrected:
-            lengths, covariance = _lengths(self.calibration, self.wanted, driver.status().lengths)
-            require_reachable(lengths[None], require_hexapod(self.design.mechanism), ["the pose"])
-        driver.move(lengths, speed)
-        return replace(self, lengths=lengths, covariance=covariance, status=driver.status())
+        stand = driver.status().lengths if driver.position_known else None  # else the driver refuses the move
+        move = plan_pose_move(self.design, self.calibration, self.wanted, self.uncorrected, stand)
+        if report is not None:
+            report(move)
+        driver.move(move.lengths, speed)
+        return replace(move, status=driver.status())
 
 
 def plan_pose_move(
-    design: Design, calibration: Calibration, wanted: RigidTransform, uncorrected: bool = False
+    design: Design,
+    calibration: Calibration,
+    wanted: RigidTransform,
+    uncorrected: bool = False,
+    start: Floats | None = None,
 ) -> PoseMove:
     """PoseMove to a wanted pose T_base_platform (), checked.
 
+    start : (axes,) m or rad, where the axes stand, home by default: of the postures in which an arm takes the pose the
+        one nearest to it is chosen
     What nobody logs is taken as when calibrated.
-    Raises Unreachable for lengths out of range
+    Raises Unreachable for lengths out of range, RigError for an arm of several hands
     """
     correction = calibration.correction
-    home = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
-    if uncorrected:
-        lengths, covariance = correction.uncorrected(wanted), None
-    else:
-        lengths, covariance = _lengths(calibration, wanted, home)
-    require_reachable(np.array([lengths]), require_hexapod(design.mechanism), ["the pose"])
-    return PoseMove(design, calibration, wanted, lengths, uncorrected, covariance=covariance)
+    if start is None:
+        start = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
+    if isinstance(correction, ArmCorrection):
+        require_one_hand(correction.nominal, "a pose is gone to")
+        speed = design.driver().max_speed
+        calibration = replace(calibration, correction=correction.in_posture_nearest_to(wanted, start, speed))
+    T = _as_batch(wanted)
+    plain = calibration.correction.uncorrected(T) if uncorrected else None
+    found = commands_along_route(calibration, T, np.asarray(start, float), commands_to_keep=plain)
+    require_reachable(found.values, require_axes(design.mechanism), ["the pose"])
+    covariance = None if found.covariance is None else found.covariance[0]
+    return PoseMove(design, calibration, wanted, found.values[0], uncorrected, covariance=covariance)
 
 
 def require_same_rig(
@@ -146,21 +165,28 @@ def require_same_rig(
 
     The paths, or names, are for the message.
     """
-    nominal, mechanism = calibration.correction.nominal, require_hexapod(design.mechanism)
-    names = [name for name in mechanism.geometry_arrays if name != "strut_zeros"]
-    if nominal.kind != mechanism.kind or not all(
-        np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names
+    nominal, mechanism = calibration.correction.nominal, require_axes(design.mechanism)
+    stages = [(one, another) for one, another in zip(nominal.stages, mechanism.stages)]
+    if (
+        (nominal.kind, nominal.axes, *nominal.files.values())
+        != (mechanism.kind, mechanism.axes, *mechanism.files.values())
+        or [one.kind for one, _ in stages] != [another.kind for _, another in stages]
+        or not all(
+            figures.shape == another.geometry_arrays[name].shape
+            and np.allclose(figures, another.geometry_arrays[name], rtol=0, atol=1e-6)
+            for one, another in stages
+            for name, figures in one.geometry_arrays.items()
+            if name != "strut_zeros"
+        )
     ):
         raise RigError(
             f"{calibration_path} is a calibration of another rig than {design_path}: their stated joints differ"
         )
 
 
-def _lengths(calibration: Calibration, wanted: RigidTransform, start: Floats) -> tuple[Floats, Floats | None]:
-    """((axes,) m that give a wanted pose (), (6, 6) covariance of the pose), the axes coming from start (axes,)."""
-    T = RigidTransform.from_matrix(wanted.as_matrix()[None])
-    found = commands_along_route(calibration, T, np.asarray(start, float))
-    return found.values[0], None if found.covariance is None else found.covariance[0]
+def _as_batch(T: RigidTransform) -> RigidTransform:
+    """A pose () as poses (1,)."""
+    return RigidTransform.from_matrix(T.as_matrix()[None])
 
 
 LONGEST = 1 << 24  # bytes of a request's line

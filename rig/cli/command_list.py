@@ -48,7 +48,7 @@ GROUPS = {
     },
     "drive": {
         "run": "A plan executed on the real machine: moved, settled, grabbed, journalled, measured during the run.",
-        "go": "The platform sent to one pose through a calibration: corrected lengths, checked.",
+        "go": "The platform sent to one pose through a calibration: corrected lengths or joint values, checked.",
         "jog": "Struts moved a little, checked as any move.",
         "home": "All struts homed.",
         "stop": "The struts stopped now, and any process that moves them.",

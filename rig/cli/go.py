@@ -1,6 +1,6 @@
 """rig go: move the platform to one pose.
 
-Through a calibration: corrected lengths, checked, read back.
+Through a calibration: corrected lengths or joint values, checked, read back.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ def run(arguments: Namespace) -> None:
     output_display.read_and_print_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose, arguments.units or SI), arguments.uncorrected)
-    _print_plan(move)
-    arguments.result = move.tree()
     if arguments.dry_run:
+        _print_plan(move)
+        arguments.result = move.tree()
         return
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.trust:
             driver.trust()
-        done = move.carry_out(driver, arguments.speed)
+        done = move.carry_out(driver, arguments.speed, _print_plan)
         assert done.status is not None
         print_status(done.status, design)
     arguments.result = done.tree()
@@ -86,8 +86,11 @@ def run(arguments: Namespace) -> None:
 def _print_plan(move: PoseMove) -> None:
     """Print the values to command."""
     from rig.driving.axis_units_and_distances import values_text
+    from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
     m = move.design.mechanism
+    if has_links(m):
+        print("of the postures that give the pose, the one nearest to where the joints stand (--dry-run: to zero)")
     print(
         f"to command: {values_text(move.lengths, m)}, which is {values_text(move.off_nominal, m)} off the nominal model"
     )
@@ -95,13 +98,15 @@ def _print_plan(move: PoseMove) -> None:
 
 def _print_remainder(move: PoseMove) -> None:
     """Print how far from the pose the platform is by the calibration, with what that is itself uncertain by."""
+    from rig.driving.axis_units_and_distances import axes_word
+
     left, own, within = move.remainder, move.uncertainty, move.within
     if left is not None and own is not None and within is not None:
         position, rotation = (left.translation**2).sum() ** 0.5, left.rotation.magnitude()
         print(
             f"the platform is within {within[0] * 1e6:.1f} um and {within[1] * 1e6:.1f} urad of the pose (k=2): the "
-            f"struts read {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad off it, and the calibration itself is "
-            f"uncertain by {2e6 * own[0]:.1f} um and {2e6 * own[1]:.1f} urad (k=2)"
+            f"{axes_word(move.design.mechanism)} read {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad off it, "
+            f"and the calibration itself is uncertain by {2e6 * own[0]:.1f} um and {2e6 * own[1]:.1f} urad (k=2)"
         )
 
 

@@ -97,6 +97,21 @@ class ArmCorrection(Correction[Arm, Profile]):
         """The correction whose commands leave the joints that do not move its hand at values (joints,) rad or m."""
         return replace(self, visited=np.where(self.nominal.moving, self.visited, values))
 
+    def in_posture_nearest_to(self, T_base_platform: RigidTransform, values: Floats, speed: Floats) -> Self:
+        """The correction that takes a pose () in the posture that is reached soonest from joint values (joints,) rad or
+        m, of all that are found within the limits; itself where none is, so that `inverse` says why.
+
+        speed : (joints,) rad/s or m/s, greatest of each joint
+        """
+        posture = deficient.numerical_inverse_solutions(self.target_poses(T_base_platform), self.nominal).q
+        guess = np.vstack([values, mechanism.nearest_equivalent_angles(posture, self.nominal, values)])
+        poses = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (len(guess), 1, 1)))
+        found = self.near(poses, guess)
+        found = found[(mechanism.signed_limit_excess(found, self.nominal) == 0).all(axis=1)]  # NaN is within none
+        if not len(found):
+            return self
+        return replace(self, visited=found[[np.argmin((np.abs(found - values) / speed).max(axis=1))]])
+
     def summand(self, commands: Floats) -> Floats:
         """KSF (..., joints) rad or m at commands: commanded less what the nominal model says for the pose that it
         gives.

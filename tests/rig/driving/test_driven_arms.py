@@ -1,5 +1,6 @@
 """Arms and gantries driven as struts are: units on the wire, conformance, plan to run to calibration, refusals."""
 
+import json
 import threading
 from importlib.resources import files
 
@@ -85,7 +86,7 @@ def test_controllers_that_do_not_suit_an_arm_are_refused(tmp_path, arm, controll
 
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", MACHINES)
-def test_a_plan_is_run_and_calibrated(tmp_path, protocol, capsys):
+def test_a_plan_is_run_and_calibrated_and_a_pose_gone_to(tmp_path, protocol, capsys):
     path = written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n')
     clock, design = SystemClock(), load_design(path)
     emulator = opening.emulator_of_design(design, Faults(), clock, speed_factor=20.0)
@@ -106,6 +107,14 @@ def test_a_plan_is_run_and_calibrated(tmp_path, protocol, capsys):
         write_poses_of_visits(rec, truth)
         assert command_line.main(["check", str(rec)]) == 0
         assert command_line.main(["calibrate", str(rec), "--out", str(out)]) == 0, capsys.readouterr().err
+        wanted = poses_of(truth, truth.limits.mean(axis=1) + 0.1 * np.ptp(truth.limits, axis=1))
+        capsys.readouterr()
+        pose = ",".join(f"{value:.9f}" for value in wanted)
+        words = ["go", str(out), "--rig", str(path), "--port", wire.name, f"--pose={pose}", "--json"]
+        assert command_line.main(words + (["--trust"] if protocol != "urscript" else [])) == 0, capsys.readouterr().err
+        gone = json.loads(capsys.readouterr().out)
+        off = poses_of(truth, emulator.machine.axes.at(clock.now()))[:3] - wanted[:3]
+        assert gone["moved"] and np.linalg.norm(off) < 2e-5, off
     finally:
         running.set()
         served.join()
@@ -116,6 +125,11 @@ def write_poses_of_visits(rec, truth):
     """poses.csv of a run's visits, as an instrument sees a true arm."""
     visits = np.genfromtxt(rec / "visits.csv", delimiter=",", names=True, dtype=None, encoding=None)
     q = np.stack([visits[name] for name in truth.axes], axis=-1)
-    vectors = pose_to_vector(mechanisms.kinematics_of(truth).forward(np.asarray(q, float), truth))
+    vectors = poses_of(truth, q)
     lines = [f"{frame}," + ",".join(f"{value:.10f}" for value in row) for frame, row in zip(visits["frame"], vectors)]
     (rec / "poses.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *lines]) + "\n")
+
+
+def poses_of(arm, q):
+    """(..., 6) m and rad, poses of joint values (..., n)."""
+    return pose_to_vector(mechanisms.kinematics_of(arm).forward(np.asarray(q, float), arm))

@@ -9,8 +9,10 @@ import pytest
 
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
+from calib.models.arm.correction import ArmCorrection
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import closed_form_inverse, closed_form_of_six_joint_arm
 from rig.model.pose import pose, pose_difference
 from tests.calib import secret_arms as worlds
 from tests.rig.arms import SEVEN, UR10
@@ -70,3 +72,32 @@ def test_joint_values_are_apart_by_less_than_half_a_turn_and_slides_by_all_of_it
         np.array([3.1, 0.0, 7.0, 0.0, 0.0, 0.0]), np.array([-3.1, 0.0, 0.0, 0.0, 0.0, 6.0]), arm
     )
     np.testing.assert_allclose(apart, [6.2 - 2 * np.pi, 0, 7.0, 0, 0, 2 * np.pi - 6.0])
+
+
+@pytest.mark.parametrize("turns", [0, 2 * np.pi])
+def test_a_pose_is_taken_in_the_posture_nearest_to_where_the_joints_stand(turns):
+    rng = np.random.default_rng(2)
+    joints = np.array(UR10.joints) + 2e-4 * rng.normal(size=UR10.joints.shape)
+    correction = ArmCorrection(UR10, replace(UR10, joints=joints), (None,) * 6, np.zeros((1, 6)))
+    wanted = mechanism.forward(np.array([0.5, -1.2, 1.4, -0.7, 1.1, 0.3]), correction.fitted)
+    found = closed_form_inverse(wanted, closed_form_of_six_joint_arm(UR10))
+    postures = found.q[found.exists]
+    assert len(postures) == 8
+    for posture in postures[::2]:
+        stand = posture + rng.uniform(-0.1, 0.1, 6) - turns * (posture > 0) * (np.arange(6) == 4)
+        chosen = correction.in_posture_nearest_to(wanted, stand, np.ones(6))
+        commands = chosen.inverse(wanted)
+        assert np.abs(commands - stand).max() < 0.15
+        assert np.abs(pose_difference(chosen.predict(commands), wanted)).max() < 1e-10
+    slow = np.where(np.arange(6) == 0, 1e-3, 1.0)  # the shoulder is to stay on its side, whatever the others do
+    stand = postures[0] + [0.3, 2.0, 2.0, 2.0, 2.0, 2.0]
+    chosen = correction.in_posture_nearest_to(wanted, stand, slow).inverse(wanted)
+    nearest = np.abs(mechanism.joint_value_difference(postures, stand, UR10)[:, 0]).min()
+    assert abs(chosen[0] - stand[0]) < nearest + 0.01
+
+
+def test_a_pose_beyond_reach_is_refused_from_wherever_the_joints_stand():
+    correction = ArmCorrection(UR10, UR10, (None,) * 6, np.zeros((1, 6)))
+    far = pose([3.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    with pytest.raises(Unreachable, match="out of the arm's reach"):
+        correction.in_posture_nearest_to(far, np.full(6, 0.1), np.ones(6)).inverse(far)
