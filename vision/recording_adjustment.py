@@ -22,6 +22,7 @@ from rig.model.pose import adjoint
 from rig.recording.recording_folder import Recording
 from rig.recording.recording_tables import Corners
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
+from vision.bundle.adjustment_covariance_of_correlated_corner_errors import with_covariance_of_unlike_errors
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
@@ -185,13 +186,16 @@ def measure_observations(
     observations = replace(observations, covariance=fit.covariance)
     retained, good = observations_of_frames(observations, solved), fit.inliers[keep]
     weights, standing = inflate_repeated_corner_covariance(retained, good, fit.adjustment.state)
+    weighed = replace(retained, covariance=weights).take(good)
     result = adjust_bundle(
-        replace(retained, covariance=weights).take(good),
+        weighed,
         fit.adjustment.state,
         free,
         stated=stated,
         printing=fit.adjustment.printing,
     )
+    own = (weights == retained.covariance).all(axis=(1, 2))[good]
+    result = with_covariance_of_unlike_errors(weighed, result, own)
     numbers, covariance = observations.frames[solved], result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)

@@ -24,7 +24,7 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     remounted_cube_pose_nuisances,
     split_rows_by_frame_bases,
 )
-from calib.diagnosis.problems.platform.pose_covariance_of_correlated_corner_errors import (
+from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     pose_covariance_of_unlike_errors,
 )
 from calib.models.platform.closed_loop_equations import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.diagnosis.engine.linear_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
-from calib.diagnosis.problems.platform.pose_covariance_of_correlated_corner_errors import (
+from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     SmoothImageErrors,
     smooth_image_errors,
 )
@@ -216,7 +216,9 @@ def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> Corne
         found.names,
         found.priors,
         found.camera_columns,
-        smooth_image_errors(o, point.stated.cameras, order, edges, whitener[order], local, stated[::2]),
+        smooth_image_errors(
+            o, point.stated.cameras, order, edges, lambda columns: whitener[order] @ columns, local, stated[::2]
+        ),
     )
 
 

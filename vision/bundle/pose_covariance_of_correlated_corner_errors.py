@@ -6,7 +6,7 @@ no strut is to blame for that. The sizes of the errors are estimated by moments 
 components and applications, 1988); what they make of poses is White's covariance (Econometrica 48, 1980, 817-838).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,25 +52,21 @@ def smooth_image_errors(
     cameras: Sequence[Camera],
     order: Integers,
     edges: Integers,
-    whiten: Floats,
+    whiten: Callable[[Floats], Floats],
     local: Floats,
     own: Booleans,
 ) -> SmoothImageErrors:
     """SmoothImageErrors of n corners in an order (n,), frame by frame and camera by camera.
 
-    edges : (F + 1,) where frames begin; whiten : (n, 2, 2) 1/px; local : (2n, L) orthonormal basis of frames' own poses
+    edges : (F + 1,) where frames begin; whiten : of columns (n, 2, k) px in that order
+    local : (2n, L) orthonormal basis of frames' own poses
     own : (n,) whether a corner's covariance is that of its own errors alone; only such corners count, also those of the
         base, which see the same air
     """
-    o = observations
-    camera, frame = o.camera[order], o.frame[order]
-    half = np.array([[c.width / 2, c.height / 2] for c in cameras])[camera]
-    place = (o.uv[order] - half) / half
-    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
-    terms = np.stack([place[:, 0] ** i * place[:, 1] ** j for i, j in powers], axis=1)
-    terms /= np.sqrt((terms**2).sum(axis=1).mean())
+    camera, frame = observations.camera[order], observations.frame[order]
     leverage = (local**2).reshape(len(order), -1).sum(axis=1) / 2
-    columns = np.einsum("nij,nk->nikj", whiten * own[:, None, None], terms).reshape(2 * len(order), -1)
+    place, pixels = places_and_smooth_columns(observations, cameras, order)
+    columns = (whiten(pixels) * own[:, None, None]).reshape(2 * len(order), -1)
     starts = np.flatnonzero(np.r_[True, (np.diff(camera) != 0) | (np.diff(frame) != 0)])
     F, L, width = len(edges) - 1, local.shape[1], columns.shape[1]
     onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((len(starts), width, width))
@@ -88,6 +84,20 @@ def smooth_image_errors(
     return SmoothImageErrors(columns, starts, frame[starts], flat, twice, size, taken, _parts(camera, place), spare)
 
 
+def places_and_smooth_columns(
+    observations: Observations, cameras: Sequence[Camera], order: Integers
+) -> tuple[Floats, Floats]:
+    """((n, 2) places in the image, from -1 to 1, (n, 2, 2K) px the columns of smooth errors) of n corners in an order
+    (n,).
+    """
+    half = np.array([[c.width / 2, c.height / 2] for c in cameras])[observations.camera[order]]
+    place = (observations.uv[order] - half) / half
+    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    terms = np.stack([place[:, 0] ** i * place[:, 1] ** j for i, j in powers], axis=1)
+    terms /= np.sqrt((terms**2).sum(axis=1).mean())
+    return place, np.einsum("ij,nk->nikj", np.eye(2), terms).reshape(len(order), 2, -1)
+
+
 def _parts(camera: Integers, place: Floats) -> Integers:
     """(n,) number of each corner's camera and ring of the image."""
     radius, out = np.linalg.norm(place, axis=1), np.zeros(len(camera), int)
@@ -97,13 +107,11 @@ def _parts(camera: Integers, place: Floats) -> Integers:
     return out
 
 
-def pose_covariance_of_unlike_errors(
-    errors: SmoothImageErrors, left: Floats, local: Floats, edges: Integers
-) -> Floats | None:
-    """(F, L, L) covariance of the frames' own poses on their basis, whose unit is that of equal and independent errors;
-    None where corners show no others.
+def sizes_of_unlike_errors(errors: SmoothImageErrors, left: Floats, edges: Integers) -> tuple[Floats, float] | None:
+    """((n,) mean square of each corner's own whitened errors, px^2 of the smooth ones along each column), in the order
+    of `smooth_image_errors`; None where corners show no errors but equal and independent ones.
 
-    left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of `smooth_image_errors`
+    left : (2n,) whitened residuals with the frames' own poses taken out; edges : as of `smooth_image_errors`
     """
     F, spare, total = len(edges) - 1, errors.spare, errors.spare.sum()
     square = np.where(spare > 0, (left**2).reshape(-1, 2).mean(axis=1), 0.0)
@@ -130,8 +138,28 @@ def pose_covariance_of_unlike_errors(
         A = np.array([[2 * total, left_of_columns], [white_alone.sum(), errors.twice]])
         white, smooth = np.linalg.solve(A, [2 * square.sum(), seen.sum()])
         white, smooth = max(white, LEAST * level), max(smooth, 0.0)
-    each = np.repeat(white * shares, 2)
-    out = smooth * errors.onto @ np.swapaxes(errors.onto, 1, 2)
+    return white * shares, float(smooth)
+
+
+def pose_covariance_of_unlike_errors(
+    errors: SmoothImageErrors, left: Floats, local: Floats, edges: Integers
+) -> Floats | None:
+    """(F, L, L) covariance of the frames' own poses on their basis, whose unit is that of equal and independent errors;
+    None where corners show no others.
+
+    left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of `smooth_image_errors`
+    """
+    sizes = sizes_of_unlike_errors(errors, left, edges)
+    return None if sizes is None else pose_covariance_by_sizes(errors, *sizes, local, edges)
+
+
+def pose_covariance_by_sizes(
+    errors: SmoothImageErrors, white: Floats, smooth: float, local: Floats, edges: Integers
+) -> Floats:
+    """(F, L, L) covariance of the frames' own poses on their basis by the sizes of errors, white (n,) and smooth, as
+    `sizes_of_unlike_errors` has them.
+    """
+    each, out = np.repeat(white, 2), smooth * errors.onto @ np.swapaxes(errors.onto, 1, 2)
     for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
         out[f] += local[a:b].T @ (each[a:b, None] * local[a:b])
     return out
