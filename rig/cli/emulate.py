@@ -33,7 +33,7 @@ PROTOCOLS = (
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig emulate` to a parser."""
     parser.add_argument(
-        "design", metavar="RIG.toml", type=Path, nargs="?", help="the rig; with --conform by default a hexapod"
+        "design", metavar="RIG.toml", type=Path, nargs="?", help="the rig; with --conform by default a hexapod, of urscript an arm"
     )
     parser.add_argument(
         "--protocol",
@@ -188,7 +188,7 @@ def _conform(arguments: Namespace) -> None:
     """Print each check of a protocol. Raises RigError where one is not passed."""
     from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
 
-    design = conformance_design(arguments.design)
+    design = conformance_design(arguments.design, _protocol(arguments))
     protocol = _protocol(arguments) or (design.driver().protocol if arguments.design else None)
     if protocol is None:
         raise RigError("--conform takes a RIG.toml, or --protocol mine.py")

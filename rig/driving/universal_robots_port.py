@@ -9,7 +9,9 @@
 
 Packets come 125 times a second or more, whether they are asked for or not. The first that comes after a request may
 have been made before it.
-Source: Universal Robots, client interface (real-time, port 30003) of controllers 3.2 and later.
+Source: Universal Robots, realtime client interface (port 30003), RealTime 5.9: time in column 1, q actual in 32 to 37.
+The modes follow from its list of fields. ur_modern_driver reads the same up to the safety mode in packets of 3.0 and
+later, python-ur-control the robot mode and, in packets of 1140 and 1220 bytes, the program state at 131.
 """
 
 import re

@@ -35,12 +35,14 @@ from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries, load_design
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import kinematics_of, require_axes
-from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml
+from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml, shipped_arm_path
 
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug")
 ON_RESETS = ("stale-alarm",)  # faults of controllers that are reset, which lines of text need not have
 ONCE, EACH = 4, 12  # trials with a fault at the first move; moves with the fault at one in five
 STEP, RADIUS = 8e-3, 0.3  # m, of a move; of the hexapod where no rig.toml is given
+SIX_JOINT_ARM = "ur10"  # of rig/arms, where no rig.toml is given
+ARM_CONTROLLER = '\n[controller]\nprotocol = "urscript"\nhoming = false\nmax_speed = 1.0\n'
 ZERO_STEP = 1e-3  # m between the zeros of its struts, about the middle of their ranges: positions of both signs occur
 SLOW_SHARE = 0.25  # share of full speed, which a move takes that the axes' own limits do not slow down
 FASTEST, SLOWEST, RAMPS = 0.5, 3.0, 1.0  # times a segment's duration that its move may take, and s more for its ramps
@@ -87,12 +89,15 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
                 return  # what does not move at all is tried no further
 
 
-def conformance_design(path: Path | None) -> Design:
+def conformance_design(path: Path | None, protocol: str | None = None) -> Design:
     """Design on which a protocol's conformance is tested.
 
-    Of a rig.toml, or a hexapod.
-    Raises RigError for one without struts or controller, and FileError.
+    Of a rig.toml, or a hexapod; of protocol "urscript" an arm of six joints.
+    Raises RigError for one without axes or controller, and FileError.
     """
+    if path is None and protocol == "urscript":
+        text = shipped_arm_path(SIX_JOINT_ARM).read_text(encoding="utf-8") + ARM_CONTROLLER
+        return design_of_entries(toml_entries(text, Path(f"{SIX_JOINT_ARM}.toml")))
     if path is None:
         text = new_rig_toml(LayoutOptions(radius=RADIUS))
         design = design_of_entries(toml_entries(text, Path("hexapod.toml")))

@@ -11,7 +11,7 @@ from rig.cli import command_line
 from rig.driving.axis_units_and_distances import counts_per_unit
 from rig.driving.clock import SystemClock
 from rig.driving.emulators import controller_emulator_opening_and_ports as opening
-from rig.driving.emulators.driver_conformance_checks import check_conformance
+from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
 from rig.driving.emulators.emulated_axes_and_faults import Faults
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
 from rig.errors import FileError, Unreachable
@@ -39,6 +39,12 @@ def test_every_arm_passes_the_conformance_checks(tmp_path, protocol):
     design = load_design(written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n'))
     checks = list(check_conformance(design, protocol, 40))
     assert len(checks) == 28 and [(check.name, check.problem) for check in checks if check.problem] == []
+
+
+def test_conformance_of_urscript_without_a_rig_toml_is_tested_on_an_arm():
+    design = conformance_design(None, "urscript")
+    assert design.mechanism.axis_words == ("joint",) * 6
+    assert not next(check_conformance(design, "urscript")).problem
 
 
 def test_joints_are_counted_in_degrees_and_slides_in_mm(tmp_path):
