@@ -70,7 +70,7 @@ def run(arguments: Namespace) -> None:
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose, arguments.units or SI), arguments.uncorrected)
     if arguments.dry_run:
-        _print_plan(move)
+        _print_plan(move, driven=False)
         arguments.result = move.tree()
         return
     with open_driver(design, arguments.trace, print) as driver:
@@ -83,14 +83,15 @@ def run(arguments: Namespace) -> None:
     _print_remainder(done)
 
 
-def _print_plan(move: PoseMove) -> None:
-    """Print the values to command."""
-    from rig.driving.axis_units_and_distances import values_text
+def _print_plan(move: PoseMove, driven: bool = True) -> None:
+    """Print the values to command. driven : whether the move starts from where the axes stand, not from home"""
+    from rig.driving.axis_units_and_distances import axes_word, values_text
     from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
     m = move.design.mechanism
     if has_links(m):
-        print("of the postures that give the pose, the one nearest to where the joints stand (--dry-run: to zero)")
+        stand = f"where the {axes_word(m)} stand" if driven else "zero"
+        print(f"of the postures found that give the pose, the nearest to {stand}")
     print(
         f"to command: {values_text(move.lengths, m)}, which is {values_text(move.off_nominal, m)} off the nominal model"
     )

@@ -15,6 +15,7 @@ from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
+from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design
 from rig.recording.recording_folder import Commands
 from synthetic import emulated_cameras, secret_machine_and_truth_file
 from synthetic.image_simulation import Images
@@ -49,6 +50,17 @@ def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, stru
     ).T_base_platform[0]
     assert np.abs(pose_difference(T, other)).max() > 5e-5, "the way does matter here"
     assert np.abs(shown.pose(102.0)[:3, 3] - shown.pose(105.0)[:3, 3]).max() > 1e-3, "on its way it is elsewhere"
+
+
+def test_an_arm_is_shown_where_its_joints_and_their_play_have_it():
+    stated = load_shipped_arm_design("ur10")
+    arm = stated.mechanism
+    world = secret_machine_and_truth_file.World(stated, stated, (parse_effect("backlash:joint2:gap=1e-3"),))
+    q = np.array([0.3, -1.0, 1.4, 0.2, 0.9, -0.4])
+    history = np.array([100.0, 101.0, 103.0, 104.0]), np.array([q, q, q + 0.2, q + 0.1])
+    shown = emulated_cameras.EmulatedCameras(world, Images(Sensor()), 1, lambda: history, SimulatedClock(105.0))
+    off = shown.pose(103.9)[:3, 3] - mechanisms.kinematics_of(arm).forward(q + 0.11, arm).translation
+    assert 1e-4 < np.linalg.norm(off) < 2e-3  # of 1.2 m of arm beyond joint 2, whose play is 1 mrad
 
 
 def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, strut_history):

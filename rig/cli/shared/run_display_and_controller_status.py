@@ -23,7 +23,7 @@ from rig.model.pose import pose_to_vector
 
 def print_status(status: ControllerStatus, design: Design) -> None:
     """Print a Status, with the pose that its lengths give by the nominal model."""
-    from rig.driving.axis_units_and_distances import values_text
+    from rig.driving.axis_units_and_distances import axes_word, values_text
     from rig.driving.controller_status_and_limits import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
@@ -35,7 +35,7 @@ def print_status(status: ControllerStatus, design: Design) -> None:
     if not status.known:
         print("position not known: " + ("home it" if homing else "verify it, then use --trust"))
     m = design.mechanism
-    print(f"{'lengths' if m.strut_joints is not None else 'joints'} {values_text(status.lengths, m)}")
+    print(f"{'lengths' if m.strut_joints is not None else axes_word(m)} {values_text(status.lengths, m)}")
     if (m.plates is not None or m.strut_joints is None) and status.known:
         try:
             v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
