@@ -82,7 +82,7 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
         for image in np.unique(observations.camera[rows.order[at]]):
             some = np.repeat(observations.camera[rows.order[at]] == image, 2)
             along = rest[some].T @ columns[2 * at.start : 2 * at.stop][some]
-            scatter += smooth * along @ along.T
+            scatter += along @ smooth @ along.T
     turn = np.linalg.cholesky(factor.T @ scatter @ factor)
     return replace(
         adjustment,

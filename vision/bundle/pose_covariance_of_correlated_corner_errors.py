@@ -3,7 +3,9 @@
 Air, vibration and a finder's habits move neighbouring corners alike, corners far from an image's middle may scatter
 more, and some far more than usual. The poses then scatter by more than equal and independent errors make of them, and
 no strut is to blame for that. The sizes of the errors are estimated by moments (Rao and Kleffe, Estimation of variance
-components and applications, 1988); what they make of poses is White's covariance (Econometrica 48, 1980, 817-838).
+components and applications, 1988), and from there how their terms go together by rounds of expectation and maximisation
+(Laird and Ware, Biometrics 38, 1982, 963-974); what they make of poses is White's covariance (Econometrica 48, 1980,
+817-838).
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +24,7 @@ HEAVY = 0.1  # by which the mean square of errors must exceed what their middle 
 LEAST = 0.05  # of the squares: errors of neighbouring corners are never quite alike
 FEW = 2.0  # corners' worth of usual errors that every part is taken to have beside its own
 CHANCE = 1e-6  # that the errors in one of all parts are as unlike the others
+ROUNDS = 20  # of expectation and maximisation; what images hardly tell stays near the estimate by moments
 PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal and independent ones
 
 
@@ -30,8 +33,9 @@ class SmoothImageErrors:
     """Errors that vary smoothly over each of I images of F frames, anew in each, whitened.
 
     columns : (2n, 2K) 1/px of each corner's own image, by polynomials of mean square 1 in each direction together
-    starts, frame : (I,) each image's first corner, and its frame; onto : (F, L, 2K C) on the frames' own poses
-    twice : trace of the square of what frames' own poses leave of the columns' products with each other, all frames
+    starts, frame, camera : (I,) each image's first corner, its frame and camera
+    onto : (F, L, 2K C) on the frames' own poses
+    left : (F, 2K C, 2K C) what frames' own poses leave of the columns' products with each other
     size : (n,) sum of squares of each corner's rows of the columns; taken : (F,) of what the frames' own poses take
     part : (n,) each corner's camera and ring, and spare : (n,) how much of its errors' squares the poses leave
     """
@@ -39,8 +43,9 @@ class SmoothImageErrors:
     columns: Floats
     starts: Integers
     frame: Integers
+    camera: Integers
     onto: Floats
-    twice: float
+    left: Floats
     size: Floats
     taken: Floats
     part: Integers
@@ -69,19 +74,16 @@ def smooth_image_errors(
     columns = (whiten(pixels) * own[:, None, None]).reshape(2 * len(order), -1)
     starts = np.flatnonzero(np.r_[True, (np.diff(camera) != 0) | (np.diff(frame) != 0)])
     F, L, width = len(edges) - 1, local.shape[1], columns.shape[1]
-    onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((len(starts), width, width))
+    onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((F, len(cameras), width, len(cameras), width))
     for image, (a, b) in enumerate(zip(2 * starts, [*2 * starts[1:], 2 * len(order)])):
-        onto[frame[starts[image]], :, camera[starts[image]]] = local[a:b].T @ columns[a:b]
-        products[image] = columns[a:b].T @ columns[a:b]
+        f, i = frame[starts[image]], camera[starts[image]]
+        onto[f, :, i] = local[a:b].T @ columns[a:b]
+        products[f, i, :, i] = columns[a:b].T @ columns[a:b]
     flat = onto.reshape(F, L, -1)
     size, taken = (columns**2).sum(axis=1).reshape(-1, 2).sum(axis=1), (flat**2).sum(axis=(1, 2))
-    # tr M^2 of M = blocks of the products - onto^T onto
-    of_image = onto[frame[starts], :, camera[starts]]
-    across = np.einsum("ila,iab,ilb->", of_image, products, of_image, optimize=True)
-    short = flat @ np.swapaxes(flat, 1, 2)
-    twice = float((products**2).sum() - 2 * across + (short**2).sum())
+    rest = products.reshape(F, flat.shape[2], -1) - np.swapaxes(flat, 1, 2) @ flat
     spare = np.where(own, np.maximum(1 - leverage, LEAST), 0.0)
-    return SmoothImageErrors(columns, starts, frame[starts], flat, twice, size, taken, _parts(camera, place), spare)
+    return SmoothImageErrors(columns, starts, frame[starts], camera[starts], flat, rest, size, taken, _parts(camera, place), spare)
 
 
 def places_and_smooth_columns(
@@ -107,9 +109,9 @@ def _parts(camera: Integers, place: Floats) -> Integers:
     return out
 
 
-def sizes_of_unlike_errors(errors: SmoothImageErrors, left: Floats, edges: Integers) -> tuple[Floats, float] | None:
-    """((n,) mean square of each corner's own whitened errors, px^2 of the smooth ones along each column), in the order
-    of `smooth_image_errors`; None where corners show no errors but equal and independent ones.
+def sizes_of_unlike_errors(errors: SmoothImageErrors, left: Floats, edges: Integers) -> tuple[Floats, Floats] | None:
+    """((n,) mean square of each corner's own whitened errors, (2K, 2K) px^2 covariance of the smooth ones along the
+    columns), in the order of `smooth_image_errors`; None where corners show no errors but equal and independent ones.
 
     left : (2n,) whitened residuals with the frames' own poses taken out; edges : as of `smooth_image_errors`
     """
@@ -132,13 +134,42 @@ def sizes_of_unlike_errors(errors: SmoothImageErrors, left: Floats, edges: Integ
     heavy = level - 1 > max(HEAVY, PROOF / np.sqrt(total))
     if (shares == 1).all() and not correlated and not heavy:
         return None
-    white, smooth = level, 0.0
-    if correlated:  # both from what all squares are, and those along the smooth columns
-        left_of_columns = errors.size.sum() - errors.taken.sum()
-        A = np.array([[2 * total, left_of_columns], [white_alone.sum(), errors.twice]])
-        white, smooth = np.linalg.solve(A, [2 * square.sum(), seen.sum()])
-        white, smooth = max(white, LEAST * level), max(smooth, 0.0)
-    return white * shares, float(smooth)
+    width = errors.columns.shape[1]
+    if not correlated:
+        return level * shares, np.zeros((width, width))
+    # both from what all squares are, and those along the smooth columns
+    left_of_columns = errors.size.sum() - errors.taken.sum()
+    A = np.array([[2 * total, left_of_columns], [white_alone.sum(), (errors.left**2).sum()]])
+    white, smooth = np.linalg.solve(A, [2 * square.sum(), seen.sum()])
+    along = np.zeros((F, errors.left.shape[1] // width, width))
+    along[errors.frame, errors.camera] = v
+    white, Sigma = _smooth_covariance(errors, along, mean_share, max(white, LEAST * level), max(smooth, 0.0))
+    return white * shares, Sigma
+
+
+def _smooth_covariance(
+    errors: SmoothImageErrors, along: Floats, share: Floats, white: float, smooth: float
+) -> tuple[float, Floats]:
+    """(mean square of the errors beside the smooth ones, (2K, 2K) px^2 covariance of the smooth ones along an image's
+    columns), from estimates by moments.
+
+    along : (F, C, 2K) of the residuals on the columns; share : (F,) of the mean square of each frame's errors
+    """
+    F, C, width = along.shape
+    squares = white * errors.spare.sum() * 2 + smooth * np.einsum("fii->", errors.left)
+    Sigma = smooth * np.eye(width)
+    for _ in range(ROUNDS):
+        whole = np.kron(np.eye(C), Sigma)
+        noise = (white * share)[:, None, None]
+        posterior = np.linalg.solve(np.eye(C * width) + whole @ errors.left / noise, np.broadcast_to(whole, errors.left.shape))
+        mean = (posterior @ along.reshape(F, -1, 1) / noise).reshape(F, C, width)[errors.frame, errors.camera]
+        spread = posterior.reshape(F, C, width, C, width)[errors.frame, errors.camera, :, errors.camera]
+        both = (mean.T @ mean + spread.sum(axis=0)) / len(mean)
+        one = np.einsum("aibi->ab", both.reshape(width // 2, 2, width // 2, 2)) / 2  # alike in both directions
+        Sigma = np.kron(one, np.eye(2))
+        taken = np.einsum("fij,ij->", errors.left, np.kron(np.eye(C), Sigma))
+        white = max((squares - taken) / (2 * errors.spare.sum()), LEAST * white)
+    return white, Sigma
 
 
 def pose_covariance_of_unlike_errors(
@@ -154,12 +185,13 @@ def pose_covariance_of_unlike_errors(
 
 
 def pose_covariance_by_sizes(
-    errors: SmoothImageErrors, white: Floats, smooth: float, local: Floats, edges: Integers
+    errors: SmoothImageErrors, white: Floats, smooth: Floats, local: Floats, edges: Integers
 ) -> Floats:
     """(F, L, L) covariance of the frames' own poses on their basis by the sizes of errors, white (n,) and smooth, as
     `sizes_of_unlike_errors` has them.
     """
-    each, out = np.repeat(white, 2), smooth * errors.onto @ np.swapaxes(errors.onto, 1, 2)
+    each, cameras = np.repeat(white, 2), errors.onto.shape[2] // len(smooth)
+    out = errors.onto @ np.kron(np.eye(cameras), smooth) @ np.swapaxes(errors.onto, 1, 2)
     for f, (a, b) in enumerate(zip(2 * edges[:-1], 2 * edges[1:])):
         out[f] += local[a:b].T @ (each[a:b, None] * local[a:b])
     return out
