@@ -28,7 +28,15 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+from rig.model.arm_hands_effect_places_and_tolerances import hand_names
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    has_links,
+    is_hexapod,
+    is_redundant,
+    require_axes,
+    require_hexapod,
+)
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
@@ -36,14 +44,16 @@ from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refut
 from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
 
+OTHERS = "drifting"  # the learner of other machines than hexapods, where none is named
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnOptions:
     """state : file of a state to go on from, where it is there, or None; calibration : to start from, None for
     rig.toml; calibration_name : of its file, for messages; refutations : what later recordings found against it
     learner : "filter", which names what jumped, or one of
-        calib.online.forgetting_least_squares_kalman_and_gradient_learners; setting : of such a one, None for its
-    default
+        calib.online.forgetting_least_squares_kalman_and_gradient_learners, None for the filter of hexapods and
+        "drifting" of other machines; setting : of such a one, None for its default
     limbs : measuring limbs as the source of poses, None for vision or poses.csv; anyway : whether to go on though a
     mistake makes results meaningless
     """
@@ -52,7 +62,7 @@ class LearnOptions:
     calibration: Calibration | None = None
     calibration_name: str = "the calibration"
     refutations: Sequence[Refutation] = ()
-    learner: str = FILTER
+    learner: str | None = None
     setting: float | None = None
     limbs: LimbSource | None = None
     anyway: bool = False
@@ -108,6 +118,7 @@ class LearningResult(OneLineRepr):
         if isinstance(learner, Online):
             learner.save(path)
         else:
+            write_kinematics_file(path.parent, learner.nominal)
             save_learner(path, learner)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
@@ -127,13 +138,12 @@ def learn(
 
     Poses that have been learnt before are left out.
     progress : called with (label, done, of); notice : with what is found on the way, in words
-    Raises RigError for other mechanisms than hexapods, for a state of another learner, and where no pose is left
+    Raises RigError for a machine that cannot be learnt, for a state of another learner, and where no pose is left
     """
     look = refuse_unfit_recording(recording, options.anyway, notice)
-    mechanism = require_hexapod(
-        recording.design.mechanism, "on-line learning is for hexapods, not for a mechanism of kind {kind!r}"
-    )
-    calibration = options.calibration
+    mechanism, calibration = require_axes(recording.design.mechanism), options.calibration
+    name = options.learner or (FILTER if is_hexapod(mechanism) else OTHERS)
+    _refuse_machine(recording, options, name)
     if calibration is not None:
         _refuse_unsuited(calibration, mechanism.kind, options.calibration_name)
     sampler = (
@@ -143,14 +153,30 @@ def learn(
     )
     recording.commanded()  # a recording that nobody commanded is refused
     evidence = _calibration_evidence(recording, calibration, options.refutations)
-    if options.learner == FILTER:
+    if name == FILTER:
         known = Online.load(options.state) if options.state is not None and options.state.exists() else None
         found = learn_by_filter(recording, sampler, known, calibration, progress, notice)
     else:
-        learner = resume_or_start_learner(options.learner, options.setting, options.state, mechanism, calibration)
-        found = learn_by_simple_learner(recording, sampler, learner, options.learner, calibration, progress, notice)
+        learner = resume_or_start_learner(name, options.setting, options.state, mechanism, calibration)
+        found = learn_by_simple_learner(recording, sampler, learner, name, calibration, progress, notice)
     online = replace(found.online, confounds=confounds_of_recordings([recording]), calibrations=evidence)
     return LearningResult(recording, found, online)
+
+
+def _refuse_machine(recording: Recording, options: LearnOptions, learner: str) -> None:
+    """Raise RigError for a machine that a learner does not learn, and for one whose place nothing states."""
+    mechanism, instrument = recording.design.mechanism, recording.design.instrument
+    if learner == FILTER:
+        require_hexapod(mechanism, "the learner that names jumps is for hexapods, not for a mechanism of kind {kind!r}")
+    if is_redundant(mechanism) or hand_names(mechanism):
+        several = f"{len(mechanism.axes)} struts" if is_redundant(mechanism) else "several hands"
+        raise RigError(f"on-line learning does not support a machine with {several}")
+    if instrument is not None and instrument.kind in ("distance", "direction"):
+        raise RigError(f"on-line learning requires poses, positions or orientations, not a {instrument.kind}")
+    started = options.calibration is not None or (options.state is not None and options.state.exists())
+    unplaced = instrument is None or "free" in (instrument.base, instrument.tool)
+    if has_links(mechanism) and unplaced and not started:
+        raise RigError("where the arm stands is not known: start on-line learning from a calibration (--calibration)")
 
 
 def learn_from_samples(

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations
 from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.api.plan_for_promise import FEWEST, plan_keeping_promise, visible_marker_counts
 from calib.api.plan_options_and_result import (
     FOR_PARAMETERS,
     LEAST,
@@ -35,7 +35,6 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
 from calib.models.platform.optimal_calibration_poses import (
     choose_configurations_by_exchange,
     choose_d_optimal_configurations,
-    fewest_configurations,
     total_information,
 )
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_configurations
@@ -44,7 +43,6 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_existing_place
 from rig.errors import RigError
-from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.base_and_link_tilt_sensors import GRAVITY_SIGMA
@@ -62,12 +60,10 @@ from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.planning.plan import axis_strokes, build_plan, nearest_compatible_commands, sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan, balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import Sensors
-from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels
 DETERMINED = 4.0  # information, that of the prior being 1, from which a combination of parameters is told
-FEWEST = 2  # markers of what moves that a configuration must show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,11 +219,7 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
     """PlanResult of the configurations that determine a machine's parameters best, of those in which cameras see it."""
     if options.calibration is not None or options.given is not None or options.criterion != "determinant":
         raise RigError("--calibration, --given and --criterion noise are for hexapods")
-    looked = (
-        partial(visible_marker_counts_over_all_cameras, design.cameras, markers=marker_map(design.without_stages()))
-        if design.cameras and design.targets
-        else None
-    )
+    looked = visible_marker_counts(design)
     lines, requested, sigma = [], None, options.sigma
     if design.instrument is not None and design.instrument.kind == "direction":
         requested = _pointing_parameters(require_arm(mechanism))
@@ -308,7 +300,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     if options.parts is None:
         require_one_hand(design.mechanism, "configurations are chosen")
     if options.promise is not None:
-        found = _keeping_promise(design, options.promise, options, progress)
+        found = plan_keeping_promise(design, options.promise, options, progress)
     elif options.separate is not None:
         return _separating(design, options.separate, options)
     elif options.parts is not None:
@@ -329,38 +321,6 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     before = np.vstack([strokes.mean(axis=1), found.values[:-1]]) if reached_from is None else reached_from
     confounds = confounds_of_configurations(found.values, before, design.mechanism)
     return replace(found, confounds=confounds, reached_from=reached_from)
-
-
-def _keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:
-    """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any."""
-    mechanism, avoided = geometry_and_excluded_configurations(
-        options,
-        require_hexapod(design.mechanism, "plans for a promise require a hexapod, not a mechanism of kind {kind!r}"),
-    )
-    found = fewest_configurations(
-        mechanism, promise, options.sigma, options.given, SEED, lambda done, of: progress("choosing", done, of), avoided
-    )
-    count, visited = len(found.commands), 0 if options.given is None else len(options.given)
-    if not count:
-        met = (
-            f"by the {visited} configurations given"
-            if visited
-            else "by the stated geometry, with no configuration visited"
-        )
-        lines = [
-            f"the promise of {quantity_text(promise, 'm')} is met {met}: "
-            f"{quantity_text(found.left[0], 'm')} remaining; there is nothing to "
-            f"visit"
-        ]
-    else:
-        lines = [
-            f"{count} configurations besides {visited} given meet {promise * 1e6:.4g} um: "
-            f"{found.left[0] * 1e6:.4g} -> "
-            f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines meet; errors "
-            "that all poses share are additional",
-            "remaining after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um",
-        ]
-    return PlanResult(design, found.commands, True, lines[0], lines)
 
 
 def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) -> PlanResult:

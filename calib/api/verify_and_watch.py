@@ -31,21 +31,18 @@ from calib.certification.platform_certification import Progress, silent_progress
 from calib.drift import change_evidence_and_sentences
 from calib.drift.change_evidence_and_sentences import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit_and_judge_change
+from calib.drift.visits_page import (
+    Visit,
+    change_alarm_sentence,
+    last_visit_verdict,
+    sentence_on_effect_omitted_by_calibration,
+    write_visits_page,
+)
 from calib.files import calibration_file
 from calib.files.calibration_file import SEED
 from calib.models.base_and_tool_displacement_between_recordings import Placement, samples_without_displacement
 from calib.models.machine_models import corrected_pose_covariance
-from calib.report.verification_and_repeated_visit_pages import (
-    Verified,
-    Visit,
-    change_alarm_sentence,
-    last_visit_verdict,
-    refutes_claim,
-    sentence_on_effect_omitted_by_calibration,
-    verification_verdict,
-    write_verification_page,
-    write_visits_page,
-)
+from calib.report.verification_page import Verified, refutes_claim, verification_verdict, write_verification_page
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json

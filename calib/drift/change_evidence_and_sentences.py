@@ -75,7 +75,7 @@ def change_hypotheses(reference: Reference, mechanism: Commanded) -> list[Hypoth
     ]
     if machine.tool and not reference.cameras:
         moving.append((TOOL, [geometry + k for k in machine.tool]))
-    found = [
+    found: list[tuple[str, str, list[int], float, float, float, Place | None, str]] = [
         (
             "target" if place.kind == "target" else "camera",
             str(place),

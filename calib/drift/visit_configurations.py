@@ -28,10 +28,12 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Actuator, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_units, has_struts, kinematics_of
-from rig.planning import configuration_generators
+from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.recording.recording_folder import Commands
+from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 
-CANDIDATES = 400
+CANDIDATES, SEARCHED = 400, 4000  # configurations, and among how many those are sought that cameras see
+FEWEST = 2  # markers of what moves that a configuration must show
 FILL = 0.8  # of the strokes: farther out fewer cameras see the platform's targets
 SIGMAS = (1e-5, 5e-5)  # m, rad; of a measured pose
 LEAST = 4  # poses of a visit
@@ -89,8 +91,7 @@ def choose_visit_configurations(
     if not LEAST <= count <= CANDIDATES:
         raise RigError(f"--count takes {LEAST} to {CANDIDATES} poses, got {count}")
     candidates = configurations_outside_exclusion(
-        configuration_generators.sobol_configurations(ranges, CANDIDATES, FILL, seed),
-        lambda c: is_pose_lost(calibration.correction, c),
+        _candidates(calibration, design, seed), lambda c: is_pose_lost(calibration.correction, c)
     )
     information = _VisitInformation(candidates, ranges.mean(axis=1), *_columns(calibration, design, candidates))
     order: list[int] = []
@@ -116,6 +117,27 @@ def choose_visit_configurations(
         for some in (order, list(range(count)))
     )
     return Chosen(mechanism, candidates[order], chosen, even)
+
+
+def _candidates(calibration: Calibration, design: Design | None, seed: int) -> Floats:
+    """Low-discrepancy configurations (n, axes) m or rad; where cameras see a hand, those in which they do.
+
+    Raises RigError where too few are seen
+    """
+    mechanism = watched_machine(calibration)
+    looked = design is not None and design.cameras and design.targets and not has_struts(mechanism)
+    spread = evenly_spread_configurations(mechanism, SEARCHED if looked else CANDIDATES, FILL, seed)
+    if design is None or not looked:
+        return spread
+    T = calibration.correction.predict(spread)
+    markers = marker_map(design.without_stages())
+    seen = visible_marker_counts_over_all_cameras(design.cameras, T, markers=markers) >= FEWEST
+    if seen.sum() < CANDIDATES / 10:
+        raise RigError(
+            f"in {seen.sum()} of {len(spread)} configurations within the limits {FEWEST} markers are seen whole: "
+            "narrow the limits, or turn the cameras"
+        )
+    return spread[seen][:CANDIDATES]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

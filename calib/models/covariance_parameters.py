@@ -39,7 +39,8 @@ class CovarianceParameters:
     single : indices of others that may change one at a time; tool : indices of where the target sits on the hand
     jacobian : (values (n, axes), poses T (n,)) -> (n, 6, p) change of the pose's tangent on the right
     axis_jacobian : (values, poses) -> (n, 6, axes) of the same with the axes
-    moved : (p,) change of the parameters in counts -> the mechanism with it
+    values : (p,) counts, the parameters as they are; 0 of arms and chains, whose parameters are changes
+    with_values : (p,) counts -> the mechanism with these parameters
     """
 
     names: tuple[str, ...]
@@ -51,7 +52,8 @@ class CovarianceParameters:
     tool: tuple[int, ...]
     jacobian: Callable[[Floats, RigidTransform], Floats]
     axis_jacobian: Callable[[Floats, RigidTransform], Floats]
-    moved: Callable[[Floats], Any]
+    values: Floats
+    with_values: Callable[[Floats], Any]
 
 
 def covariance_parameters(mechanism: Commanded) -> CovarianceParameters:
@@ -87,6 +89,7 @@ def _of_arm(arm: Arm) -> CovarianceParameters:
         tool,
         lambda values, _: arms.parameter_jacobian(values, arm),
         lambda values, _: arm_kinematics.jacobian(values, arm),
+        np.zeros(len(names)),
         lambda step: arms.arm_with_parameter_step(arm, step),
     )
 
@@ -111,6 +114,7 @@ def _of_chain(chain: Chain) -> CovarianceParameters:
         (),
         lambda values, _: chains.parameter_jacobian(values, chain),
         lambda values, _: mechanism_chain.jacobian(values, chain),
+        np.zeros(len(names)),
         lambda step: chains.chain_with_parameter_step(chain, step),
     )
 
@@ -128,5 +132,6 @@ def _of_parallel(mechanism: Parallel) -> CovarianceParameters:
         (),
         lambda _, T: pose_parameter_jacobian(T, mechanism),
         lambda _, T: inverse_strut_length_jacobian(T, mechanism),
-        lambda step: mechanism_with_parameters(mechanism, geometric_parameters(mechanism) + step),
+        geometric_parameters(mechanism),
+        lambda p: mechanism_with_parameters(mechanism, p),
     )

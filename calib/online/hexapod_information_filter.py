@@ -54,7 +54,7 @@ class Update:
 
 
 class Online:
-    """The filter. Its estimate is `hexapod`, with `covariance`; `save` and `load` carry it over a restart exactly.
+    """The filter. Its estimate is `mechanism`, with `covariance`; `save` and `load` carry it over a restart exactly.
 
     number : poses so far; data : marks of what was learnt (see rig.recording.frame_selection_and_content_hashes), so
         that it is not learnt again
@@ -91,7 +91,7 @@ class Online:
         return self.state.estimate.p
 
     @property
-    def hexapod(self) -> Hexapod:
+    def mechanism(self) -> Hexapod:
         """The Hexapod as estimated now."""
         return mechanism_with_parameters(self.nominal, self.p)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
+from calib.models.covariance_parameters import covariance_parameters
 from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import LEARNERS, Learner, load_learner
 from calib.online.hexapod_information_filter import Online, Update
@@ -18,8 +19,14 @@ from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
-from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    Commanded,
+    geometric_parameters,
+    has_struts,
+    is_parallel,
+    require_axes,
+    require_hexapod,
+)
 from rig.recording.frame_selection_and_content_hashes import (
     Marks,
     content_hashes_of_frames,
@@ -31,6 +38,7 @@ from vision.api import Progress
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
+NONE = np.zeros(0)
 FILTER = "filter"  # the learner that names what jumped; the others are in LEARNERS
 Sampler = Callable[[], Sampled]
 
@@ -79,12 +87,12 @@ def learn_by_filter(
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
-    moved = _moved(learner.p, mechanism)
+    moved = _rms_text(learner.p - geometric_parameters(mechanism))
     count = f"{count_text(len(samples), 'pose')} from {found.source}, learnt one at a time{_after(before)}"
     return Learning(
         learner,
-        _online_result(learner, updates, samples.frame, found.source, moved),
-        (*_filter_lines(learner, updates, samples.frame, count), _moved_line(moved)),
+        _online_result(learner, updates, samples.frame, found.source, _moved_line(mechanism, moved)),
+        (*_filter_lines(learner, updates, samples.frame, count), _moved_line(mechanism, moved)),
         _filter_figures(learner, updates, samples.frame),
         found,
     )
@@ -107,13 +115,17 @@ def learn_by_simple_learner(
     fresh, found, commands = _new_poses(recording, sampler, learner.data, calibration, notice)
     samples = found.samples
     learner.data |= fresh
-    errors = np.empty((len(samples), 6))
-    for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
-        errors[k] = learner.update(x, T, C)
-        progress("learning", k + 1, len(samples))
-    moved = _moved(learner.p, require_hexapod(recording.design.mechanism))
-    sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
-    known = "" if sigma is None else f", known to {sigma * 1e3:.4f} mm RMS"
+    rows = []
+    for x, T, C in zip(commands, samples.T_base_platform, samples.total_covariance()):
+        rows.append(learner.update(x, T, C))
+        progress("learning", len(rows), len(samples))
+    errors, parameters, free = np.array(rows), learner.parameters, learner.free
+    stated = covariance_parameters(require_axes(recording.design.mechanism)).values
+    angle = np.array(parameters.units)[free] == "rad"
+    change = ((learner.p - stated) * parameters.scale)[free]
+    spread = None if learner.covariance is None else np.sqrt(np.diag(learner.covariance)) * parameters.scale[free]
+    sigma = None if spread is None else _rms_text(spread[~angle], spread[angle])
+    moved = _rms_text(change[~angle], change[angle])
     first, last = _rms_of_first_and_last_quarter(errors)
     figures = {
         "schema": "followed/1",
@@ -123,23 +135,24 @@ def learn_by_simple_learner(
         "poses_before": before,
         "first_quarter": first,
         "last_quarter": last,
-        "moved_rms_m": moved,
-        "sigma_rms_m": sigma,
+        "moved_rms_m": _rms(change[~angle]),
+        "moved_rms_rad": _rms(change[angle]),
+        "sigma_rms_m": None if spread is None else _rms(spread[~angle]),
+        "sigma_rms_rad": None if spread is None else _rms(spread[angle]),
     }
     lines = (
         f"{count_text(len(samples), 'pose')} from {found.source}, learnt one at a time by {name} "
         f"({learner.SETTING} {learner.setting:g}){_after(before)}",
         f"poses deviated from the prediction by {first:.3g} standard deviations RMS in the first quarter, by "
         f"{last:.3g} in the last (1 once converged)",
-        _moved_line(moved) + known,
+        _moved_line(learner.nominal, moved) + ("" if sigma is None else f", known to {sigma}"),
     )
-    return Learning(
-        learner, OnlineResult(samples.frame, errors, found.source, (), (), sigma, moved), lines, figures, found
-    )
+    result = OnlineResult(samples.frame, errors, found.source, (), (), sigma, _moved_line(learner.nominal, moved))
+    return Learning(learner, result, lines, figures, found)
 
 
 def resume_or_start_learner(
-    name: str, setting: float | None, state: Path | None, mechanism: Hexapod, calibration: Calibration | None
+    name: str, setting: float | None, state: Path | None, mechanism: Commanded, calibration: Calibration | None
 ) -> Learner:
     """Learner of a name, resumed from a state that is there, or started anew.
 
@@ -153,7 +166,7 @@ def resume_or_start_learner(
         if setting is not None and setting != learner.setting:
             raise RigError(f"{state} goes on with {learner.SETTING} {learner.setting:g}, not with {setting:g}")
         return learner
-    nominal = mechanism if calibration is None else require_hexapod(calibration.correction.fitted)
+    nominal = mechanism if calibration is None else require_axes(calibration.correction.fitted)
     try:
         learner = kind(nominal) if setting is None else kind(nominal, setting)
     except ValueError as error:
@@ -167,7 +180,7 @@ def resume_or_start_learner(
 def _new_poses(
     recording: Recording, sampler: Sampler, learnt: set[str], calibration: Calibration | None, notice: Notice
 ) -> tuple[set[str], Sampled, Floats]:
-    """(hashes of the frames not yet learnt, Sampled of their poses, (n, 6) m commands with a calibration's correction
+    """(hashes of the frames not yet learnt, Sampled of their poses, (n, axes) commands with a calibration's correction
     taken off). Raises RigError where none is left: what is learnt twice counts twice
     """
     marks = content_hashes_of_frames(recording)
@@ -198,13 +211,26 @@ def _known_frames(calibration: Calibration | None) -> set[str]:
     return set() if calibration is None else set(calibration.provenance.get("data", ()))
 
 
-def _moved(p: Floats, mechanism: Hexapod) -> float:
-    """m RMS by which parameters p differ from a mechanism's."""
-    return float(np.sqrt(np.mean((p - geometric_parameters(mechanism)) ** 2)))
+def _rms(values: Floats) -> float | None:
+    """RMS of values (n,), None of none."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
 
-def _moved_line(moved: float) -> str:
-    return f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml"
+def _rms_text(lengths: Floats, angles: Floats = NONE) -> str:
+    """RMS of lengths (n,) m and angles (n,) rad, of what there is, in words."""
+    parts = [(_rms(lengths), "mm"), (_rms(angles), "mrad")]
+    return " and ".join(f"{value * 1e3:.4f} {unit}" for value, unit in parts if value is not None) + " RMS"
+
+
+def _moved_line(mechanism: Commanded, moved: str) -> str:
+    """Line on how far parameters moved; those of arms and chains count from where learning began."""
+    if not is_parallel(mechanism):
+        return f"parameters moved by {moved} from where learning began"
+    return f"{_parameter_words(mechanism)} moved by {moved} from rig.toml"
+
+
+def _parameter_words(mechanism: Commanded) -> str:
+    return "joints and zeros" if has_struts(mechanism) else "parameters"
 
 
 def _after(before: int) -> str:
@@ -218,9 +244,9 @@ def _rms_of_first_and_last_quarter(errors: Floats) -> tuple[float, float]:
 
 
 def _online_result(
-    learner: Online, updates: Sequence[Update], frames: Integers, source: str, moved: float
+    learner: Online, updates: Sequence[Update], frames: Integers, source: str, moved: str
 ) -> OnlineResult:
-    """OnlineResult of updates by poses of frames (n,). moved : m RMS from rig.toml"""
+    """OnlineResult of updates by poses of frames (n,). moved : how far parameters moved, in words"""
     first = updates[0].number
     changes = [change for update in updates for change in update.changes]
     returning = {change.strut for change in changes if _changes_cancel(changes, change.strut)}
@@ -234,7 +260,7 @@ def _online_result(
         source,
         sentences,
         dropped,
-        float(np.sqrt(np.mean(np.diag(learner.covariance)))),
+        _rms_text(np.sqrt(np.diag(learner.covariance))),
         moved,
         [
             f"strut {strut} alternates: play or another effect of the direction, not missed steps"

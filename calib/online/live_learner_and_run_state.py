@@ -73,12 +73,12 @@ class Learner:
     @property
     def hexapod(self) -> Hexapod:
         """The geometry as learnt by now."""
-        return self._online.hexapod
+        return self._online.mechanism
 
     def expected(self, commanded: Floats) -> RigidTransform:
         """T_base_platform that commanded lengths (6,) m should give, by what is known so far."""
         return mechanisms.kinematics_of(self._nominal).forward(
-            commanded - self._correction.rho(commanded), self._online.hexapod
+            commanded - self._correction.rho(commanded), self._online.mechanism
         )
 
     def save(self) -> None:

@@ -33,11 +33,10 @@ ASK = "Determine the effects on the struts or the measurement: `rig diagnose REC
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnlineResult:
-    """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong;
+    """What poses taught. frames : (n,) their numbers; innovations : (n, k) whitened, N(0, I) where nothing is wrong;
     source : of the poses
-    change_lines : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or
-    None;
-        moved : m RMS from rig.toml
+    change_lines : a line for each change; dropped : numbers of frames left out; known : to how much parameters
+    are known, in words, or None; moved : by how much they moved, a sentence without its full stop
     returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
     calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
 
@@ -46,8 +45,8 @@ class OnlineResult:
     source: str
     change_lines: Sequence[str]
     dropped: Sequence[int]
-    known: float | None
-    moved: float
+    known: str | None
+    moved: str
     returning: Sequence[str] = ()
     confounds: Confounds | None = None
     calibrations: OfCalibrations = ALONE
@@ -63,13 +62,12 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
         heading_html("Innovation of each pose"),
         captioned_html(
             panel_row_html(innovation),
-            "Deviation from the prediction by previous poses, in standard deviations, RMS over the six axes. Good: a "
-            "fall to the line at 1, where nothing remains to be learnt. Bad: a sudden rise; something jumped.",
+            "Deviation from the prediction by previous poses, in standard deviations, RMS over its coordinates. Good: "
+            "a fall to the line at 1, where nothing remains to be learnt. Bad: a sudden rise; something jumped.",
         ),
         paragraph_html(
             f"{count_text(len(result.frames), 'pose')} from {result.source}, learnt one at a time. "
-            f"Joints and zeros moved by "
-            f"{result.moved * 1e3:.4f} mm RMS from rig.toml."
+            f"{result.moved[0].upper()}{result.moved[1:]}."
         ),
         *section_html("What jumped", [list_html(result.change_lines)] if result.change_lines else []),
     ]
@@ -86,7 +84,7 @@ def online_verdict(result: OnlineResult) -> Verdict:
     """Verdict on on-line learning."""
     last = result.innovations[-max(len(result.innovations) // 4, 1) :]
     off = float(np.sqrt(np.mean(last**2)))
-    known = "" if result.known is None else f"; joints and zeros are known to {result.known * 1e3:.4f} mm RMS"
+    known = "" if result.known is None else f"; {result.moved.split(' moved ')[0]} are known to {result.known}"
     changes = (
         f"{len(result.change_lines)} change{'s' * (len(result.change_lines) != 1)}"
         if result.change_lines

@@ -258,8 +258,8 @@ def _add_learner_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--learner",
         choices=(FILTER, *SETTINGS),
-        default=FILTER,
-        help="filter (the default) reports sudden changes; forgetting: "
+        help="filter reports sudden changes, for hexapods and their default; drifting is the default of others; "
+        "forgetting: "
         "least squares with directional forgetting; drifting: random-walk parameters; first-order: "
         "gradient steps, no covariance",
     )
@@ -308,9 +308,10 @@ def run_online(arguments: Namespace) -> None:
 
 def _print_learnt(arguments: Namespace, result: LearningResult) -> None:
     """Print what was learnt, and where the state is."""
+    from calib.online.hexapod_information_filter import Online
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
-    named = arguments.learner == FILTER
+    named = isinstance(result.found.learner, Online)
     written = [] if arguments.state is None else [f"written: {arguments.state}"]
     found = [result.verdict.line, result.confounds_line]
     print_online_learning_result(result, named)
@@ -343,4 +344,4 @@ def _refuse_other_learners_settings(arguments: Namespace) -> None:
     """
     for learner, setting in SETTINGS.items():
         if learner != arguments.learner and getattr(arguments, setting) is not None:
-            raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")
+            raise RigError(f"--{setting} is of --learner {learner}; name that one too")

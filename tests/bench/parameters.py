@@ -237,7 +237,7 @@ def _limbs():
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):
         learner.update(*each)
     spread = configuration_generators.sobol_configurations(true.strut_range, 500, 0.9)
-    error = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.hexapod))
+    error = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.mechanism))
     before = pose_difference(hexapod.forward(spread, true), hexapod.forward(spread, design.mechanism))
     rms = [np.sqrt((e[:, :3] ** 2).sum(axis=1).mean()) * 1e6 for e in (before, error)]
     yield "struts learnt from the limbs' poses: model's pose error before, after", f"{rms[0]:.0f}, {rms[1]:.1f} um", ""

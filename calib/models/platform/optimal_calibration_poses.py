@@ -1,19 +1,14 @@
 """Optimal poses to calibrate a hexapod.
 
-D-optimal for its parameters, or the fewest for a promised accuracy.
+D-optimal for its parameters.
 
 Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index
 of Nahvi and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange:
 Fedorov, Theory of Optimal Experiments, 1972.
-
-What counts is the position error that the parameters leave once they are fitted to the poses so far, its mean square
-over the workspace (I-optimal), exchanged against candidates all over the strokes. Source: Atkinson, Donev and Tobias,
-Optimum Experimental Designs, 2007, ch. 10
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -24,7 +19,6 @@ from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as mechanism
 from rig.planning import configuration_generators
-from rig.planning.configuration_generators import FILL as WORKSPACE
 from rig.planning.timed_plan_and_visiting_order import time_balanced_order
 
 CANDIDATES = 2000
@@ -209,78 +203,3 @@ def _noise(M: Floats, G: Floats, present: int = 0) -> tuple[float, Floats]:
 def _root(rows: Floats) -> Floats:
     R: Floats = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
     return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
-
-
-FEWEST_CANDIDATES = 1500
-PLACES = 256
-MOST = 400  # poses
-DRAWS, SURE = 2000, 0.975
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FewestConfigurations:
-    """commands : (n, 6) m, in the order in which they help most; left : (n + 1,) m, the position error, RMS over the
-    workspace, that 97.5 % of machines keep to once so many of them are measured beside what was given."""
-
-    commands: Floats
-    left: Floats
-
-
-def fewest_configurations(
-    hexapod: Hexapod,
-    promise: float,
-    sigmas: tuple[float, float],
-    existing_configurations: Floats | None = None,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-    exclusion: ConfigurationExclusion | None = None,
-) -> FewestConfigurations:
-    """Fewest configurations found that keep a promise (m), in addition to those given (k, 6) m.
-
-    sigmas : (m, rad) standard deviations of a measured pose, per axis, each pose's own; progress : called with (done,
-        of)
-    exclusion : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
-    Raises RigError where MOST poses do not keep it, or where none may be visited
-    """
-    spread = configuration_generators.sobol_configurations(hexapod.strut_range, FEWEST_CANDIDATES, FILL, seed)
-    candidates, G = solvable_commands_and_whitened_jacobians(
-        configurations_outside_exclusion(spread, exclusion), hexapod, sigmas
-    )
-    places, _ = solvable_commands_and_whitened_jacobians(
-        configuration_generators.sobol_configurations(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas
-    )
-    J = pose_parameter_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
-    A = J.T @ J / len(places)
-    covariance: Floats = np.eye(42)  # of the parameters, each in its plausible size
-    if existing_configurations is not None and len(existing_configurations):
-        known = solvable_commands_and_whitened_jacobians(existing_configurations, hexapod, sigmas)[1].reshape(-1, 42)
-        covariance = cast(Floats, np.linalg.inv(np.eye(42) + known.T @ known))
-    chosen: list[int] = []
-    left = [_left(covariance, A, seed)]
-    while left[-1] > promise:
-        if len(chosen) == MOST:
-            raise RigError(
-                f"{MOST} poses leave {left[-1] * 1e6:.3g} um, not the {promise * 1e6:.3g} um promised: poses "
-                "must be measured more accurately"
-            )
-        half = G @ covariance  # (c, 6, 42)
-        inner = np.eye(6) + half @ np.swapaxes(G, 1, 2)
-        gain = np.trace(np.linalg.solve(inner, half @ A @ np.swapaxes(half, 1, 2)), axis1=1, axis2=2)
-        best = int(np.argmax(gain))
-        chosen.append(best)
-        covariance = covariance - half[best].T @ np.linalg.solve(inner[best], half[best])
-        left.append(_left(covariance, A, seed))
-        if progress:
-            progress(len(chosen), MOST)
-    if progress:
-        progress(MOST, MOST)
-    return FewestConfigurations(candidates[chosen].reshape(-1, 6), np.array(left))
-
-
-def _left(covariance: Floats, A: Floats, seed: int) -> float:
-    """m, what SURE of machines keep to: mean squares are sums of squares of normal draws, weighed by the
-    eigenvalues.
-    """
-    weights = np.maximum(np.linalg.eigvals(covariance @ A).real, 0)
-    draws = np.random.default_rng(seed).chisquare(1, (DRAWS, 42)) @ weights
-    return float(np.sqrt(np.quantile(draws, SURE)))

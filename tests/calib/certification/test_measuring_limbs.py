@@ -120,7 +120,7 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     assert not any(update.changes or update.dropped for update in updates)
     true = done.world.true.mechanism
     lengths = configuration_generators.sobol_configurations(true.strut_range, 100, 0.8)
-    error = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, learner.hexapod)))
+    error = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, learner.mechanism)))
     before = rms(pose_difference(hexapod.forward(lengths, true), hexapod.forward(lengths, read.design.mechanism)))
     assert error[0] < before[0] / 20
     vision = samples.total_covariance()

@@ -67,8 +67,9 @@ class Watched:
         self.design, self.text = design_from_rig_toml.load_design(path), path.read_text()
         self.rng = np.random.default_rng(5)
         self.secret = world.draw_machine(self.design, self.rng)
-        first = self.recording("first", plan.build_plan(self.design, "sobol:80", 1))
-        samples, m = sample_recording(first).samples, self.design.mechanism
+        self.first_route = plan.build_plan(self.design, "sobol:80", 1)
+        self.first = self.recording("first", self.first_route)
+        samples, m = sample_recording(self.first).samples, self.design.mechanism
         if m.kind == "arm":
             correction, found = calibrate_arm(samples, m, self.design.instrument, False)
         elif m.kind == "chain":
@@ -91,7 +92,9 @@ class Watched:
         machine = covariance_parameters(self.secret.true.mechanism)
         step = np.array([one == name for one in machine.names]) * size / machine.scale
         assert step.any(), machine.names
-        self.secret = replace(self.secret, true=replace(self.secret.true, mechanism=machine.moved(step)))
+        self.secret = replace(
+            self.secret, true=replace(self.secret.true, mechanism=machine.with_values(machine.values + step))
+        )
 
     def visit(self, history):
         """(History, Verdict) with one more visit."""

@@ -25,14 +25,14 @@ def model_error(design, found, true):
 def test_every_learner_gets_better(design, method):
     poses = stream(design, 1, 400)
     learner, _ = learnt(design, poses, method(design.mechanism))
-    before, after = (model_error(design, m, poses.after) for m in (design.mechanism, learner.hexapod))
+    before, after = (model_error(design, m, poses.after) for m in (design.mechanism, learner.mechanism))
     assert after < before / (5 if method is FirstOrder else 50)
 
 
 @pytest.mark.parametrize("method", ALL)
 def test_every_learner_refuses_alike_and_stays(design, method):
     learner = method(design.mechanism)
-    with pytest.raises(RigError, match="close on no pose"):
+    with pytest.raises(RigError, match="closes on no pose"):
         learner.update([0.1, 5.0, 0.1, 5.0, 0.1, 5.0], design.mechanism.home, COVARIANCE)
     np.testing.assert_array_equal(learner.p, geometric_parameters(design.mechanism))
 
@@ -57,7 +57,7 @@ def test_forgetting_does_not_wind_up(design):
     for k in range(500):
         T = hexapod.forward(poses.commands[k % 2], poses.after) * exp(OWN * rng.normal(size=6))
         learner.update(poses.commands[k % 2], T, COVARIANCE)
-    jacobian = np.concatenate(pose_parameter_jacobian(hexapod.forward(poses.commands, poses.after), learner.hexapod))
+    jacobian = np.concatenate(pose_parameter_jacobian(hexapod.forward(poses.commands, poses.after), learner.mechanism))
     unseen = np.linalg.svd(jacobian)[2][12:]
     assert np.sqrt(np.einsum("ki,ij,kj->k", unseen, learner.covariance, unseen)).max() < 2 * known.max()
 
@@ -73,7 +73,7 @@ def test_a_drift_is_followed(design):
         T = hexapod.forward(x, now) * exp(OWN * rng.normal(size=6))
         for learner in (drifting, fixed):
             learner.update(x, T, COVARIANCE)
-    assert model_error(design, drifting.hexapod, now) < 0.25 * model_error(design, fixed.hexapod, now)
+    assert model_error(design, drifting.mechanism, now) < 0.25 * model_error(design, fixed.mechanism, now)
 
 
 def test_a_share_above_one_is_refused(design):

@@ -152,8 +152,8 @@ def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(acce
     apart, covariance = learners[0].p - learners[1].p, learners[0].covariance + learners[1].covariance
     assert apart @ np.linalg.solve(covariance, apart) < chi2.ppf(0.99, 42)
     slip = apart + 3e-5 * np.eye(42)[38]
-    T = [hexapod.forward(sobol_configurations(nominal.strut_range, 30, 0.8), learner.hexapod) for learner in learners]
-    to_pose = pose_parameter_jacobian(T[1], learners[1].hexapod)
+    T = [hexapod.forward(sobol_configurations(nominal.strut_range, 30, 0.8), learner.mechanism) for learner in learners]
+    to_pose = pose_parameter_jacobian(T[1], learners[1].mechanism)
     expected = np.sqrt(np.einsum("nij,jk,nik->ni", to_pose, covariance, to_pose))
     left = pose_difference(T[1], T[0])
     assert (np.abs(left) < 4 * expected).all() and np.abs(left[:, :3]).max() < 3e-5

@@ -7,8 +7,8 @@ import pytest
 
 from calib.certification.claim_verification import Part, Verification
 from calib.drift.change_evidence_and_sentences import ALARM, SOMETHING, Suspect, Verdict
+from calib.drift.visits_page import Visit, last_visit_verdict
 from calib.files import calibration_file
-from calib.report.verification_and_repeated_visit_pages import Visit, last_visit_verdict
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.report.verdict_refutations_and_result_display import REFUTED as CHANGED

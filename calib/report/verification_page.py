@@ -1,7 +1,4 @@
-"""HTML pages of a verification and of repeated visits.
-
-Whether a calibration's claim still holds.
-"""
+"""HTML page of a verification: whether a calibration's claim still holds."""
 
 import math
 from collections.abc import Sequence
@@ -10,11 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.calibration_dataclass_and_claim_sentences import (
-    Calibration,
-    refutation_sentence,
-    verification_line,
-)
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, verification_line
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     calibration_evidence,
     evidence_with_confounds,
@@ -24,8 +17,6 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
 from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.internal_strut_forces import StrutConflict
-from calib.drift.change_evidence_and_sentences import ALARM
-from calib.drift.change_evidence_and_sentences import Verdict as Changes
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
 from calib.samples.pose_samples import Samples
@@ -36,7 +27,7 @@ from rig.model.pose import pose_to_vector
 from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import (
     AGREES,
     Evidence,
@@ -218,127 +209,3 @@ def _figures(held: HeldOut) -> str:
         for name, f in (("nominal model", held.before), ("corrected", held.after))
     ]
     return table_html(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)
-
-
-SHOWN = 8  # suspects
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Visit:
-    """A visit of a name, what it says and that in lines; scale : of the measurement repeatability
-    found : Verification of the calibration's claim by a first visit that disagrees with it, None of other visits"""
-
-    name: str
-    evidence: Changes
-    lines: Sequence[str]
-    scale: float
-    found: Verification | None = None
-
-    @property
-    def allowed(self) -> bool:
-        """Whether what a first visit disagrees by is within the claim, so that it may have been there when the
-        calibration was made.
-        """
-        return self.found is not None and bool(self.found.parts) and not self.found.refutes
-
-
-def write_visits_page(
-    path: Path | str, calibration: str, visits: Sequence[Visit], verdict: Verdict, links: Sequence[Link] = ()
-) -> None:
-    """Write the HTML page of visits, one at least, compared with a calibration."""
-    n = np.arange(1, len(visits) + 1)
-    agree = np.array([np.sqrt(v.evidence.square / v.evidence.count / v.scale) for v in visits])
-    later = np.array([np.exp(min(v.evidence.log_sum, 600.0)) if v.evidence.chance is None else np.nan for v in visits])
-    drawn = [plot_panel_svg("agreement", ("visit", "of the measurement repeatability"), [Series(n, agree)], level=1.0)]
-    if np.isfinite(later).any():
-        drawn.append(
-            plot_panel_svg(
-                "evidence of a change", ("visit", "sum of likelihood ratios"), [Series(n, later)], log=True, level=ALARM
-            )
-        )
-    last = visits[-1].evidence
-    parts = [
-        heading_html("Visit by visit"),
-        captioned_html(
-            panel_row_html(*drawn),
-            "Agreement: deviation of each visit from the calibration over the measurement repeatability, which is 1. "
-            f"Evidence: the alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or "
-            "more. Good: dots near 1, the sum low. Bad: a rise that stays.",
-        ),
-    ]
-    if last.alarm:
-        shown = last.suspects[:SHOWN]
-        parts += [
-            heading_html("Possible changes"),
-            captioned_html(
-                bar_chart_svg(
-                    "odds, were there a change",
-                    [one.name for one in shown],
-                    [("odds", [one.odds for one in shown], 3)],
-                    "",
-                ),
-                "Odds (0 to 1) that a part is the one that changed, the likeliest first. Good: one long bar. Bad: "
-                "bars of like length; another visit has to separate them.",
-            ),
-        ]
-    parts += [heading_html("In words"), *(paragraph_html(line.strip()) for visit in visits for line in visit.lines)]
-    write_page(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
-
-
-def last_visit_verdict(visits: Sequence[Visit], calibration_evidence: Evidence) -> Verdict:
-    """Verdict of the last visit.
-    calibration_evidence : Evidence of the calibration
-    """
-    last, steps = visits[-1], _recommended_actions(visits)
-    if not last.evidence.alarm:
-        return judge_evidence(
-            replace(
-                calibration_evidence,
-                statement=f"the calibration is valid at visit {len(visits)}, {last.name}",
-                steps=tuple(steps),
-            )
-        )
-    statement = f"visit {len(visits)}, {last.name}"
-    if last.allowed:
-        return judge_evidence(
-            replace(
-                calibration_evidence,
-                statement=statement,
-                steps=(),
-                unexplained=(sentence_on_effect_omitted_by_calibration(last), *calibration_evidence.unexplained),
-                look=steps[0],
-            )
-        )
-    beyond = () if last.found is None else (refutation_sentence(last.found),)
-    return judge_evidence(
-        replace(
-            calibration_evidence,
-            statement=statement,
-            refuted=(change_alarm_sentence(last.evidence), *beyond, *calibration_evidence.refuted),
-            look=steps[0],
-        )
-    )
-
-
-def change_alarm_sentence(changes: Changes) -> str:
-    """Sentence on a change alarm."""
-    named = changes.named
-    return (
-        f"something changed, likeliest {named.name}" if named is not None else "something changed, and it has no name"
-    )
-
-
-def sentence_on_effect_omitted_by_calibration(visit: Visit) -> str:
-    """Sentence that a first visit shows an effect which the calibration omits.
-
-    Its claim not refuted by it.
-    """
-    named = visit.evidence.named
-    like = "" if named is None else f", likeliest {named.name}"
-    return f"the calibration omits an effect{like}, present from the beginning or since; its claim is not refuted by it"
-
-
-def _recommended_actions(visits: Sequence[Visit]) -> list[str]:
-    """What an owner does next."""
-    steps = [line.strip().removeprefix("to do: ") for line in visits[-1].lines if line.strip().startswith("to do: ")]
-    return steps or ["Nothing; visit again after the next warm-up, collision or service"]

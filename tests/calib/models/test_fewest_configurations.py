@@ -5,11 +5,15 @@ those given.
 import numpy as np
 import pytest
 
+from calib.models.fewest_configurations import fewest_configurations
+from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.identification import identify_platform
-from calib.models.platform.optimal_calibration_poses import fewest_configurations
 from rig.errors import RigError
+from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
+from rig.planning.configuration_generators import evenly_spread_configurations
+from tests.calib.drift.test_watch_of_other_machines import rig_toml
 from tests.calib.noisy_samples import rms, sampled, workspace
 
 SIGMAS = (1e-5, 1e-4)  # m, rad
@@ -46,6 +50,20 @@ def test_what_was_visited_counts(design, found):
 
 
 def test_a_promise_that_measuring_cannot_keep_is_refused(design, monkeypatch):
-    monkeypatch.setattr("calib.models.platform.optimal_calibration_poses.MOST", 12)
+    monkeypatch.setattr("calib.models.fewest_configurations.MOST", 12)
     with pytest.raises(RigError, match="12 poses leave"):
         fewest_configurations(design.mechanism, 1e-7, SIGMAS)
+
+
+@pytest.mark.parametrize("name", ["delta", "planar2", "arm"])
+def test_other_machines_keep_what_is_promised(name, tmp_path):
+    machine = design_from_rig_toml.load_design(rig_toml(name, tmp_path)).mechanism
+    found = fewest_configurations(machine, 5e-5, SIGMAS)
+    assert found.left[-1] <= 5e-5 < found.left[-2]
+    parameters = independent_parameter_names_units_sizes_and_jacobian(machine)
+    rows = parameters.jacobian(found.commands) * parameters.size / np.repeat(SIGMAS, 3)[:, None]
+    information = np.eye(len(parameters.size)) + np.einsum("nip,niq->pq", rows, rows)
+    places = evenly_spread_configurations(machine, 100, 0.8)
+    J = (parameters.jacobian(places) * parameters.size)[:, :3]
+    rms_error = np.sqrt(np.einsum("nip,pq,niq->n", J, np.linalg.inv(information), J).mean())
+    assert rms_error < 5e-5
