@@ -33,7 +33,11 @@ PROTOCOLS = (
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig emulate` to a parser."""
     parser.add_argument(
-        "design", metavar="RIG.toml", type=Path, nargs="?", help="the rig; with --conform by default a hexapod, of urscript an arm"
+        "design",
+        metavar="RIG.toml",
+        type=Path,
+        nargs="?",
+        help="the rig; with --conform by default a hexapod, of urscript an arm",
     )
     parser.add_argument(
         "--protocol",

@@ -1,6 +1,9 @@
 """Arms and gantries driven as struts are: units on the wire, conformance, plan to run to calibration, refusals."""
 
 import json
+import re
+import socket
+import subprocess
 import threading
 from importlib.resources import files
 
@@ -19,6 +22,7 @@ from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import pose_to_vector
+from tests.cli import RIG
 
 INSTRUMENT = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-6\nrotation_sigma = 1e-6\n'
 FAST = "max_speed = 50.0\nmax_acceleration = 1000.0\n"
@@ -125,6 +129,33 @@ def test_a_plan_is_run_and_calibrated_and_a_pose_gone_to(tmp_path, protocol, cap
         running.set()
         served.join()
         wire.close()
+
+
+@pytest.mark.slow
+def test_cameras_see_a_driven_arm(tmp_path, capsys):
+    path, rec, found = tmp_path / "rig.toml", tmp_path / "rec", tmp_path / "found"
+    words = ["new", "design", "--arm", "ur10", "--seen", "cubes", "--cameras", "2", "--size", "640x480"]
+    assert command_line.main([*words, "--out", str(path)]) == 0
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        source = f'"emulator:127.0.0.1:{free.getsockname()[1]}"'
+    text = path.read_text().replace('shutter = "global"', f'shutter = "global"\nsource = {source}')
+    path.write_text(text + f'\n[controller]\nprotocol = "urscript"\nport = "none"\nhoming = false\n{FAST}')
+    emulate = [*RIG, "emulate", path, "--tcp", "0", "--cameras", source[10:-1]]
+    with subprocess.Popen(emulate, stdout=subprocess.PIPE, text=True) as emulator:
+        try:
+            port = next(one[1] for line in emulator.stdout if (one := re.match("port (.*)", line)))
+            words = ["run", str(path), "--port", port, "--plan", "sobol:4", "--settle", "time:0", "--no-measure"]
+            assert command_line.main([*words, "--out", str(rec)]) == 0, capsys.readouterr().err
+        finally:
+            emulator.terminate()
+    assert command_line.main(["measure", str(rec), "--out", str(found)]) == 0, capsys.readouterr().err
+    seen = np.genfromtxt(found / "poses.csv", delimiter=",", skip_header=1)
+    run = np.genfromtxt(rec / "commands.csv", delimiter=",", names=True)
+    frames = np.genfromtxt(rec / "frames.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    arm = load_design(path).mechanism
+    q = np.stack([np.interp(np.unique(frames["t"]), run["t"], run[name]) for name in arm.axes], axis=-1)
+    assert len(seen) == 4
+    np.testing.assert_allclose(seen[:, 1:4], poses_of(arm, q)[:, :3], atol=2e-4)
 
 
 def write_poses_of_visits(rec, truth):
