@@ -104,7 +104,9 @@ def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None 
     Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
     Raises Unreachable with the index of poses to which none leads
     """
-    target = T_base_platform.reshape(-1) if len(T_base_platform.shape) != 1 else T_base_platform
+    target = T_base_platform
+    if len(target.shape) != 1:
+        target = RigidTransform.from_matrix(target.as_matrix().reshape(-1, 4, 4))
     low, high = travel_ranges(chain).T
     middle, span = (low + high) / 2, high - low
     x = np.broadcast_to(middle if guess is None else guess, (len(target), len(middle))).copy()

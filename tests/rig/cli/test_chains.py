@@ -51,6 +51,14 @@ def test_a_chain_is_its_stages_one_upon_the_other(gantry):
     )
 
 
+def test_a_single_pose_and_a_grid_of_poses_have_the_values_of_a_batch(gantry):
+    T = mechanism_chain.forward(sobol_configurations(mechanism_chain.travel_ranges(gantry), 6, 0.5), gantry)
+    values = mechanism_chain.inverse(T, gantry)
+    np.testing.assert_allclose(mechanism_chain.inverse(T[2], gantry), values[2], atol=1e-12)
+    grid = RigidTransform.from_matrix(T.as_matrix().reshape(2, 3, 4, 4))
+    np.testing.assert_allclose(mechanism_chain.inverse(grid, gantry), values.reshape(2, 3, -1), atol=1e-12)
+
+
 def test_the_jacobians_are_the_differences(gantry):
     x = sobol_configurations(mechanism_chain.travel_ranges(gantry), 1, 0.5)[0]
     at = mechanism_chain.forward(x, gantry)
