@@ -90,6 +90,7 @@ NOT_COMPUTING = (
     "_file",
     ": TorqueBounds",
     ": axis_units",
+    ": has_links",
     ": require_arm",
     ": Strength",
     ": effect_description",

@@ -187,13 +187,7 @@ def measure_observations(
     retained, good = observations_of_frames(observations, solved), fit.inliers[keep]
     weights, standing = inflate_repeated_corner_covariance(retained, good, fit.adjustment.state)
     weighed = replace(retained, covariance=weights).take(good)
-    result = adjust_bundle(
-        weighed,
-        fit.adjustment.state,
-        free,
-        stated=stated,
-        printing=fit.adjustment.printing,
-    )
+    result = adjust_bundle(weighed, fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
     own = (weights == retained.covariance).all(axis=(1, 2))[good]
     result = with_covariance_of_unlike_errors(weighed, result, own)
     numbers, covariance = observations.frames[solved], result.platform_covariance

@@ -82,6 +82,11 @@ class LearningResult(OneLineRepr):
         return self.found.learner
 
     @property
+    def is_of_hexapod_filter(self) -> bool:
+        """Whether a hexapod's information filter learnt, which reports itself."""
+        return isinstance(self.found.learner, Online)
+
+    @property
     def sampled(self) -> Sampled:
         """The poses that were learnt."""
         return self.found.sampled

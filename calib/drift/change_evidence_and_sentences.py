@@ -28,18 +28,10 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_
 from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely
-PLACE_SIZE, ZERO_SIZE, GAP_SIZE, GROWTH_SIZE, SOFT_SIZE = (
-    2e-3,
-    1e-3,
-    4e-4,
-    4e-4,
-    8e-5,
-)  # m and rad, m, m, share, kg/(N/m): standard deviations
-STATED = {
-    "camera": 1e-2,
-    "target": 1e-3,
-    "instrument": 1e-3,
-}  # m, rad; how far a place may be from where it counts from, before any visit
+# m and rad, m, m, share, kg/(N/m): standard deviations
+PLACE_SIZE, ZERO_SIZE, GAP_SIZE, GROWTH_SIZE, SOFT_SIZE = 2e-3, 1e-3, 4e-4, 4e-4, 8e-5
+# m, rad; how far a place may be from where it counts from, before any visit
+STATED = {"camera": 1e-2, "target": 1e-3, "instrument": 1e-3}
 # m or rad, share, kg/(N/m): what of play, growth and sag a calibration that held on its own day may have left out
 PLAY_LEFT_OUT, GROWTH_LEFT_OUT, SOFT_LEFT_OUT = 2e-5, 5e-5, 5e-6
 KINDS = ("camera", "target", "zero", "nut", "temperature", "payload")  # each as likely; "something" is one more, and

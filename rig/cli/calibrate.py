@@ -308,10 +308,9 @@ def run_online(arguments: Namespace) -> None:
 
 def _print_learnt(arguments: Namespace, result: LearningResult) -> None:
     """Print what was learnt, and where the state is."""
-    from calib.online.hexapod_information_filter import Online
     from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
 
-    named = isinstance(result.found.learner, Online)
+    named = result.is_of_hexapod_filter
     written = [] if arguments.state is None else [f"written: {arguments.state}"]
     found = [result.verdict.line, result.confounds_line]
     print_online_learning_result(result, named)

@@ -6,7 +6,6 @@ show (see `pose_covariance_of_correlated_corner_errors`).
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -29,7 +28,7 @@ class _CornerRows:
     """Whitened derivatives of n corners, frame by frame and camera by camera.
 
     order : (n,) of the observations; edges : (F + 1,) where frames begin in it; place : (n,) of each observation in it
-    own : (n, 2, l) to the unknowns of the corner's frame; root : (F, l, l) inverse Cholesky factors of their information
+    own : (n, 2, l) to the unknowns of a corner's frame; root : (F, l, l) inverse Cholesky factors of their information
     """
 
     order: Integers
@@ -101,7 +100,7 @@ def _rows(observations: Observations, derivatives: dict[int, Derivatives], u: Un
         own[place[found.rows][:, None, None], np.arange(2)[:, None], found.own_columns] = found.own
     local = np.array([np.einsum("nij,nik->jk", own[a:b], own[a:b]) for a, b in zip(edges[:-1], edges[1:])])
     local[:, np.arange(u.local), np.arange(u.local)] += ~u.used
-    return _CornerRows(order, edges, place, own, cast(Floats, np.linalg.inv(np.linalg.cholesky(local))))
+    return _CornerRows(order, edges, place, own, np.linalg.inv(np.linalg.cholesky(local)))
 
 
 def _shared_rows_without_own(

@@ -83,7 +83,9 @@ def smooth_image_errors(
     size, taken = (columns**2).sum(axis=1).reshape(-1, 2).sum(axis=1), (flat**2).sum(axis=(1, 2))
     rest = products.reshape(F, flat.shape[2], -1) - np.swapaxes(flat, 1, 2) @ flat
     spare = np.where(own, np.maximum(1 - leverage, LEAST), 0.0)
-    return SmoothImageErrors(columns, starts, frame[starts], camera[starts], flat, rest, size, taken, _parts(camera, place), spare)
+    return SmoothImageErrors(
+        columns, starts, frame[starts], camera[starts], flat, rest, size, taken, _parts(camera, place), spare
+    )
 
 
 def places_and_smooth_columns(
@@ -161,7 +163,9 @@ def _smooth_covariance(
     for _ in range(ROUNDS):
         whole = np.kron(np.eye(C), Sigma)
         noise = (white * share)[:, None, None]
-        posterior = np.linalg.solve(np.eye(C * width) + whole @ errors.left / noise, np.broadcast_to(whole, errors.left.shape))
+        posterior = np.linalg.solve(
+            np.eye(C * width) + whole @ errors.left / noise, np.broadcast_to(whole, errors.left.shape)
+        )
         mean = (posterior @ along.reshape(F, -1, 1) / noise).reshape(F, C, width)[errors.frame, errors.camera]
         spread = posterior.reshape(F, C, width, C, width)[errors.frame, errors.camera, :, errors.camera]
         both = (mean.T @ mean + spread.sum(axis=0)) / len(mean)

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.bench.false_findings import QuietCorners
 from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     pose_covariance_of_unlike_errors,
     smooth_image_errors,
 )
-from tests.bench.false_findings import QuietCorners
 
 FRAMES, CAMERAS, SEEN = 120, 3, 24  # SEEN : corners of an image
 WIDTH, HEIGHT = 1280, 1024

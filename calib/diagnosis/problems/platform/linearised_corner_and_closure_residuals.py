@@ -24,9 +24,6 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     remounted_cube_pose_nuisances,
     split_rows_by_frame_bases,
 )
-from vision.bundle.pose_covariance_of_correlated_corner_errors import (
-    pose_covariance_of_unlike_errors,
-)
 from calib.models.platform.closed_loop_equations import (
     loop_covariance,
     loop_covariance_with_length_resolution,
@@ -40,6 +37,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     loop_closure_parameter_jacobian,
     strut_length_jacobian,
 )
+from vision.bundle.pose_covariance_of_correlated_corner_errors import pose_covariance_of_unlike_errors
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does

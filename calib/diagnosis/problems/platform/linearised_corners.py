@@ -10,10 +10,6 @@ import numpy as np
 
 from calib.diagnosis.engine.linear_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
-from vision.bundle.pose_covariance_of_correlated_corner_errors import (
-    SmoothImageErrors,
-    smooth_image_errors,
-)
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -26,6 +22,7 @@ from vision.bundle.normal_equations_and_corner_jacobians import (
     rotate_jacobian,
     small_motion_jacobian,
 )
+from vision.bundle.pose_covariance_of_correlated_corner_errors import SmoothImageErrors, smooth_image_errors
 from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
