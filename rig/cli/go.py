@@ -86,10 +86,9 @@ def run(arguments: Namespace) -> None:
 def _print_plan(move: PoseMove, driven: bool = True) -> None:
     """Print the values to command. driven : whether the move starts from where the axes stand, not from home"""
     from rig.driving.axis_units_and_distances import axes_word, values_text
-    from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
     m = move.design.mechanism
-    if has_links(m):
+    if m.link_rows is not None:
         stand = f"where the {axes_word(m)} stand" if driven else "zero"
         print(f"of the postures found that give the pose, the nearest to {stand}")
     print(

@@ -84,7 +84,6 @@ def run_jog(arguments: Namespace) -> None:
 
     from rig.cli.shared.run_display_and_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
-    from rig.model.mechanisms import axis_units
 
     design = design_with_controller_port(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
@@ -94,7 +93,8 @@ def run_jog(arguments: Namespace) -> None:
     require_share_of_greatest_speed(arguments.speed)
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; omit --strut")
-    units, moves = axis_units(design.mechanism), np.isin(np.arange(1, count + 1), struts)
+    units = tuple("rad" if word == "joint" else "m" for word in design.mechanism.axis_words)
+    moves = np.isin(np.arange(1, count + 1), struts)
     texts = arguments.to.split(",") if arguments.to else [arguments.by if one else "0" for one in moves]
     goal = _values("--to" if arguments.to else "--by", texts, units)
     with open_driver(design, arguments.trace, print) as driver:

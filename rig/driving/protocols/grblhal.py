@@ -1,6 +1,4 @@
-"""Protocol grblHAL and Grbl 1.1.
-
-Axes are counted in mm, joints in degrees, commanded by G-code lines and real-time bytes.
+"""Protocol grblHAL and Grbl 1.1: axes in mm, joints in degrees, by G-code lines and real-time bytes.
 
 Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. The feed
 word holds what is known of the position: F0 since a start, F1 once greeted after one, more once homed, confirmed or
