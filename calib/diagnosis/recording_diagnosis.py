@@ -26,6 +26,7 @@ from calib.diagnosis.engine.finding_removal_with_smooth_functions import (
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
 from calib.diagnosis.engine.term_selection import Selection, search_further_terms, select_terms
+from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize, EffectDetection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Evidence,
     HeldOutPoses,
@@ -53,6 +54,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.recording.recording_folder import Recording, RecordingPart
+from rig.report.verdict_refutations_and_result_display import OneLineRepr
 
 ROUNDS = 3  # of explaining anew without what turned out to be wild
 
@@ -76,8 +78,8 @@ class DiagnosisOptions:
     operator_statements: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Diagnosis(OneLineRepr):
     """recording : its name; evidence : what was measured; selection : Selection of the terms that explain it
     design : Design as fitted with the findings, None where nothing was commanded
     cross_validations : one for each finding; regions : for each axis, [CrossValidation] of the findings with whole
@@ -88,6 +90,7 @@ class Diagnosis:
     covariates : [Covariate] that what is left goes with, the one that explained most before first
     suggestions : formulas for what is left; outliers : rows that were left out of all this
     origin : of the owner's clock, which moments are told by; parts : (Part, ..) of several recordings together
+    detectable : [DetectableSize] of each effect and place that was asked for and not found, beside the findings
     options : DiagnosisOptions that it was asked with; confounds : of the recording, None where nothing was commanded"""
 
     recording: str
@@ -107,10 +110,16 @@ class Diagnosis:
     covariates: list[Covariate]
     suggestions: tuple[Suggestion, ...]
     outliers: Outliers
+    detectable: list[DetectableSize]
     options: DiagnosisOptions = DiagnosisOptions()
     origin: TimeOrigin = TimeOrigin()
     parts: tuple[RecordingPart, ...] = ()
     confounds: Confounds | None = None
+
+    def __str__(self) -> str:
+        terms = self.selection.problem.terms(self.selection.fit)
+        found = [f"{terms[f.number].name} at {terms[f.number].place}" for f in self.findings]
+        return f"{self.recording}, {len(found)} findings" + (f": {', '.join(found)}" if found else "")
 
     @property
     def findings(self) -> list[Finding[Any]]:  # Any: candidates, of each kind of machine their own
@@ -224,6 +233,7 @@ def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress 
         covariates=covariates,
         suggestions=suggestions,
         outliers=outliers,
+        detectable=evidence.detectable_sizes(selection) if isinstance(evidence, EffectDetection) else [],
     )
 
 

@@ -14,11 +14,13 @@ A result displays itself as one line in a console, as HTML in a notebook.
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import Field, asdict, dataclass, fields
 from enum import StrEnum
 from html import escape
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
+
+import numpy as np
 
 from rig.array_and_json_types import Json
 from rig.errors import FileError
@@ -29,6 +31,7 @@ from rig.formats.output_files.staged_folder_and_manifest import file_digest
 AGREES = 1.2  # times what noise and claim allow: up to that a held-out error agrees with them
 REFUTES = 1.5  # from there on it refutes them
 REFUTED = 3  # exit status of a command that examines an earlier result and finds it refuted
+MOST_TEXT = 60  # characters of a text that a one-line repr repeats
 MOST_REASONS = 3  # that the first line names
 
 LOOK = "Determine the unmodelled effects: `rig diagnose REC --out found`"
@@ -246,6 +249,25 @@ class OneLineRepr:
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {str(self).partition(chr(10))[0]}>"
+
+
+class FieldSummaryRepr(OneLineRepr):
+    """Base of dataclasses whose repr is one line of their fields: numbers and short texts, shapes of arrays, counts of
+    collections, names of classes."""
+
+    __slots__ = ()
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
+
+    def __str__(self) -> str:
+        return ", ".join(f"{field.name} {_summary(getattr(self, field.name))}" for field in fields(self))
+
+
+def _summary(value: object) -> str:
+    if value is None or isinstance(value, (bool, int, float)) or (isinstance(value, str) and len(value) <= MOST_TEXT):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        return str(value.shape)
+    return f"[{len(value)}]" if isinstance(value, (list, tuple, dict, set, frozenset)) else type(value).__name__
 
 
 def result_html(heading: str, lines: Iterable[str] = (), table: Sequence[Sequence[str]] = ()) -> str:

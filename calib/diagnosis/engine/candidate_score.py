@@ -5,10 +5,11 @@ Explained chi-square, its chance, its cost in BIC, and the best node of its grid
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic
+from typing import Generic, NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
+from scipy.special import chdtri, fdtri
 
 from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     C,
@@ -18,11 +19,12 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     SelectionPolicy,
     UsualRange,
 )
-from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance import MANY, residual_dispersion, scan_p_value
 from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
 from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved, normal_equations_by_direction_weights
 from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
 from rig.array_and_json_types import Booleans, Floats
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
 WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
@@ -32,8 +34,8 @@ SEVERAL = 3  # axes that show a name, from which it is asked whether all togethe
 SAME = 0.02  # of a finding's evidence, by which two scans beside the same terms may differ and still be the same
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Score(Generic[C]):
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Score(FieldSummaryRepr, Generic[C]):
     """The best of a candidate's grid. node : of it; coefficients : (q,)
 
     delta_chi2 : by which the whitened sum of squares falls, dispersion allowed for; p_value : of the grid's greatest
@@ -164,6 +166,43 @@ def is_significant(
         score.p_value * candidate_count <= policy.alpha
         and score.delta_bic(independent_residual_count) >= policy.delta_bic
     )
+
+
+class Threshold(NamedTuple):
+    """What candidates are admitted by: how many there are, of how many independent residuals, by which policy.
+
+    is_scatter_estimated : whether what is not admitted counts as scatter of all residuals, so that delta chi-square
+        stays below their number however large the effect
+    """
+
+    candidate_count: int
+    independent_residual_count: int
+    policy: SelectionPolicy
+    is_scatter_estimated: bool = False
+
+    def beside_own_scatter(self, delta_chi2: float) -> float:
+        """Delta chi-square by the noise alone that an effect takes to show one, infinite where none suffices."""
+        if not self.is_scatter_estimated:
+            return delta_chi2
+        left = 1 - delta_chi2 / self.independent_residual_count
+        return delta_chi2 / left if left > 0 else np.inf
+
+
+def least_significant_delta_chi2(rank: float, extra: int, scan: tuple[int, float], threshold: Threshold) -> float:
+    """Least delta chi-square, dispersion allowed for, at which a candidate is significant.
+
+    rank : parameters that the data determine; extra : those that the search chooses
+    scan : (nodes of the grid, each of which counts as a look of its own, degrees of freedom of the dispersion)
+    """
+    nodes, freedom = scan
+    linear = max(round(rank), 1)
+    policy = threshold.policy
+    chance = policy.alpha / threshold.candidate_count / nodes
+    if freedom < MANY:  # Fisher's F, by its reciprocal, since chance is far below what one less it resolves
+        least = linear / float(fdtri(max(freedom, 1.0), linear, chance))
+    else:
+        least = float(chdtri(linear, chance))
+    return max(least, policy.delta_bic + (np.ceil(rank) + extra) * np.log(threshold.independent_residual_count))
 
 
 def may_become_significant_when_fitted(

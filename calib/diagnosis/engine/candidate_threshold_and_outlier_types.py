@@ -12,6 +12,7 @@ import numpy as np
 from calib.identify.bounded_least_squares_and_robust_fit import MOST
 from rig.array_and_json_types import Floats
 from rig.model.arm_hands_effect_places_and_tolerances import Place
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 Node = dict[str, Any]  # {parameter: value} of the nonlinear parameters, one node of a candidate's grid
 
@@ -37,8 +38,8 @@ class UsualRange:
     role: Role
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Candidate:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Candidate(FieldSummaryRepr):
     """Something that may be at a place. Candidates are distinguished by identity.
 
     name; place; grid : [Node] in the order of the search; label : which variant

@@ -30,6 +30,7 @@ from calib.diagnosis.engine.problem_interface import (
 )
 from calib.diagnosis.engine.whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
 from rig.model.arm_hands_effect_places_and_tolerances import Place
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 TAKEN = 0.5  # of a smooth function's mean square, which it keeps at most beside a name that stands for the same
 LISTED = 3  # terms that the label of a search names
@@ -151,8 +152,8 @@ def refit_alternatives(
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Finding(Generic[C]):
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Finding(FieldSummaryRepr, Generic[C]):
     """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording
     cannot tell from it
     """

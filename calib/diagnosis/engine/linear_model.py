@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike
 from scipy.sparse.linalg import LinearOperator
 
 from rig.array_and_json_types import Floats, Integers
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
 
@@ -156,8 +157,8 @@ class Projection:
     gram: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearModel:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LinearModel(FieldSummaryRepr):
     """Residuals in blocks with the span of the nuisances taken out.
 
     blocks : (Block, ..); columns : Column (p) that spans the nuisances; half : (p, r), columns @ half orthonormal; None

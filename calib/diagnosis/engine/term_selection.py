@@ -46,13 +46,14 @@ from calib.diagnosis.engine.whole_machine_and_axis_terms import (
     fit_with_whole_machine_term_in_place_of_axis_terms,
     fit_with_whole_machine_term_split_by_axis,
 )
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 SEARCHED_AGAIN = 2  # times that terms are searched for beside those confirmed, where confirmation changed them
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Selection(Generic[Fit, C]):
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Selection(FieldSummaryRepr, Generic[Fit, C]):
     """problem : Problem that all was judged by, with tolerances among its nuisances where they are seen to be at work
     before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; candidate_count : of
     those tested

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows
+from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_row
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.report_verdict_and_folder import Report, diagnosis_verdict
 from calib.report.pose_and_effect_figures import effect_sketch
@@ -133,6 +134,7 @@ def write_diagnosis_page(
     parts += [
         heading_html("Hypotheses tested"),
         *_tested_hypotheses(report),
+        *_detectable(report),
         heading_html("The measurement"),
         table_html(("what", "value"), _measurement(report, machine_figures)),
     ]
@@ -296,6 +298,22 @@ def _tested_hypotheses(report: Report) -> list[str]:
         return [*paragraphs, paragraph_html("The whole catalogue could be tested.")]
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]
     return [*paragraphs, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
+
+
+def _detectable(report: Report) -> list[str]:
+    """How large each effect would have to be to be found."""
+    if not report.detectable:
+        return []
+    heads = ("effect", "size by", "found from, at best", "found from, at worst")
+    rows = [detectable_row(entry) for entry in report.detectable]
+    return [
+        heading_html("What this recording would have shown"),
+        paragraph_html(
+            "The size from which an effect would be found in about half of such recordings, at the place where least "
+            "is needed and where most is. An effect half as large acts unseen."
+        ),
+        folding_section_html(f"{len(rows)} effects", table_html(heads, rows)),
+    ]
 
 
 def _measurement(report: Report, machine_figures: MachineFigures) -> list[tuple[str, object]]:

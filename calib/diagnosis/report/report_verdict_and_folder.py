@@ -21,6 +21,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows, residual_figures_and_finding_contributions
+from calib.diagnosis.report.detectable_size_entries_and_table_rows import DetectableEntry, detectable_entries
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -93,7 +94,8 @@ class Report(OneLineRepr):
     noise_from : "stated", "residuals" (which determine a corner's noise) or "assumed" (that of poses)
     calibrations : of those made from the recording that are beside it
     asked : how many hypotheses, an effect at a place each, were tested
-    noise_times : {position or rotation: Value} by which all poses scatter more than is stated, where they do"""
+    noise_times : {position or rotation: Value} by which all poses scatter more than is stated, where they do
+    detectable : how large each effect would have to be to be found"""
 
     recording: str
     start_s: float
@@ -117,6 +119,7 @@ class Report(OneLineRepr):
     calibrations: OfCalibrations = ALONE
     asked: int = 0
     noise_times: dict[str, Value] = field(default_factory=dict)
+    detectable: tuple[DetectableEntry, ...] = ()
 
     def __str__(self) -> str:
         return summary_sentence(self)
@@ -307,6 +310,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         crowd=diagnosis.outliers.crowd,
         asked=diagnosis.selection.candidate_count,
         noise_times=diagnosis.noise.times,
+        detectable=detectable_entries(diagnosis.detectable),
     )
 
 

@@ -55,6 +55,19 @@ def made(folder, found, diagnosis):
     return text_of(folder / "page.html")
 
 
+@pytest.mark.slow
+def test_a_diagnosis_and_its_parts_print_as_a_line_each(diagnosed, tmp_path):
+    found, diagnosis = diagnosed
+    assert repr(diagnosis).startswith(f"<Diagnosis: {found.name}, ") and "backlash at strut 3" in repr(diagnosis)
+    fit = diagnosis.selection.fit
+    parts = (diagnosis.evidence, diagnosis.evidence.point, diagnosis.selection, diagnosis.selection.problem, fit)
+    for one in (diagnosis, *parts, fit.refined, fit.refined.model, fit.refined.model.linear, *diagnosis.findings):
+        assert len(repr(one)) < 800 and "\n" not in repr(one)
+    report = diagnosis_report(diagnosis)
+    assert {one.effect for one in report.detectable} == {"backlash", "scale_error"}
+    assert "What this recording would have shown" in made(tmp_path, found, diagnosis)[1]
+
+
 def text_of(path):
     page = path.read_text(encoding="utf-8")
     return page, re.sub(

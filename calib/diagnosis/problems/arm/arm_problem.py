@@ -53,6 +53,7 @@ from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.arm_hands_effect_places_and_tolerances import Place
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
@@ -60,8 +61,8 @@ PARTS = 3
 FINE_PARTS, COARSE_PARTS = 30, 6  # stretches of time; every third is held out at once
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmProblem:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ArmProblem(FieldSummaryRepr):
     """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all;
     policy : thresholds
     given : what is said beforehand; geometry : Geometry that the poses are linear about, None where nobody asks for it

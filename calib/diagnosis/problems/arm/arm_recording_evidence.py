@@ -30,6 +30,7 @@ from calib.diagnosis.problems.arm.arm_problem import (
     ArmProblem,
     held_out_poses_by_nested_selection,
 )
+from calib.diagnosis.problems.arm.detectable_joint_effect_sizes import detectable_joint_effect_sizes
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
     finding_parameters,
     term_errors_by_temperature_logs,
@@ -47,6 +48,7 @@ from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry, linearise_poses
 from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, term_columns
+from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     LEFT,
@@ -84,6 +86,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.recording.recording_folder import Recording
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 from vision.pose_uncertainty_prediction import predict_pose_uncertainty
 
 GROSS, GATE = (
@@ -145,8 +148,8 @@ def _varying(arms: Arms) -> list[Floats]:
     return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmEvidence:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ArmEvidence(FieldSummaryRepr):
     """linear : frames' numbers left out as wild -> (Arms of all others, Geometry that they are linear about), made anew
     without them, so that all is as if they had never been measured
     source : of the poses; requested : RequestedEffects; given : what is said beforehand
@@ -254,6 +257,9 @@ class ArmEvidence:
         floor = _length(selection.fit.arms, slice(0, 3)) if repeats is None else repeats.mean
         before, after = (float(np.linalg.norm(left[:, :3], axis=1).mean()) for left in (held[0].before, held[0].after))
         return {"poses": Misfit(before, after, floor, selection.fit.arms.unit)}, "poses"
+
+    def detectable_sizes(self, selection: ArmSelection) -> list[DetectableSize]:
+        return detectable_joint_effect_sizes(_problem(selection), selection.fit)
 
     def frames_set_aside(self, selection: ArmSelection) -> list[int]:
         fit = selection.fit

@@ -66,7 +66,7 @@ NO_CORNERS = "there are no corners"
 SPAN = "span"  # in a profile's node: (low, high) rad
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class JointCandidate(Candidate):
     """An effect at a joint, or at the whole arm. joint : index, or None; specs : as the effect states it, one for each
     number of columns
@@ -94,7 +94,7 @@ class JointCandidate(Candidate):
 
     def effect(self, node: Node, coefficients: Floats) -> Effect:
         """The effect of a node with coefficients (q,); where the size is in the node, the coefficient is it."""
-        spec = _spec(self.specs, node)
+        spec = effect_candidate_of_node(self.specs, node)
         return (
             spec.effect(node, coefficients)
             if spec.linear
@@ -201,8 +201,10 @@ def joint_candidate(effect_candidates: tuple[EffectCandidate, ...], arms: Arms) 
         extra=first.extra if first.linear else 0,
         joint=joint,
         specs=effect_candidates,
-        weights=_cached_function_of_node(lambda node: _weights(_spec(effect_candidates, node), node, joint, arms)),
-        prior=lambda node: _prior(_spec(effect_candidates, node)),
+        weights=_cached_function_of_node(
+            lambda node: _weights(effect_candidate_of_node(effect_candidates, node), node, joint, arms)
+        ),
+        prior=lambda node: _prior(effect_candidate_of_node(effect_candidates, node)),
         form=form,
         vector=max(len(spec.linear) for spec in effect_candidates) > 2,
         step=first.spacing,
@@ -210,8 +212,8 @@ def joint_candidate(effect_candidates: tuple[EffectCandidate, ...], arms: Arms) 
     )
 
 
-def _spec(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
-    """The spec of a node: with as many columns as the node says."""
+def effect_candidate_of_node(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
+    """The effect's candidate of a node: with as many columns as the node says."""
     return next((spec for spec in specs if spec.grid[0].get(COUNT) == node.get(COUNT)), specs[0])
 
 

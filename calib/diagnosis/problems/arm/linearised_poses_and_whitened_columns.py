@@ -36,13 +36,14 @@ from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm, require_chain
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Sensors
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 from vision.pose_uncertainty_prediction import PredictedUncertainty
 
 SEEN = 1e-4  # of the best told combination of a chain's parameters; others no pose tells, and they explain nothing
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arms:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Arms(FieldSummaryRepr):
     """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded;
     left : (n, k) m and rad, what the geometry left (k = 6, 3 for positions, 2 for directions)
     freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints) with the angles

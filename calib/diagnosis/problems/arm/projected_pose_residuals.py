@@ -23,6 +23,7 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Columns, Part
 from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter, robust_weights
 from rig.array_and_json_types import Booleans, Floats
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 ROUNDS = 6  # of weighing anew
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -55,8 +56,8 @@ class Weighing:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Term:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Term(FieldSummaryRepr):
     """An admitted hypothesis. candidate; node : of its grid; weights : (n, a, q) per unit, see JointCandidate;
     prior : (q,) sizes
     level : m, scatter of positions when its node was last chosen, None for never"""
@@ -93,8 +94,8 @@ class Term:
         return Part(joint, self.weights if joint is None else self.weights[:, 0])
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(FieldSummaryRepr):
     """Freedoms and terms at their best on the poses `used` (n,) bool, weighted by W (n, k, k).
 
     X : Columns (p + c) of the poses used, whitened; right : (p + c,) their products with what the geometry left;

@@ -42,7 +42,7 @@ class Reach(Enum):
     SPECTRUM = "spectrum"
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class PlatformCandidate(Candidate):
     """An effect at a place. spec : as the effect states it."""
 

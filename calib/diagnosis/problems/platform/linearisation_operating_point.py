@@ -25,6 +25,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, require_parallel
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 from vision.corner_observations import Observations
 from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 from vision.recording_adjustment import Measurement, has_hand_cameras
@@ -37,8 +38,8 @@ EDGE_SHIFT = effect_of_tolerance(FINDER)  # what the corner finder does to all e
 CUBE_MOTION = effect_of_tolerance(SEAT)  # what a cube is off by that was put back
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SeenCorners:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SeenCorners(FieldSummaryRepr):
     """The corners of a recording and which sightings they belong to.
 
     observations : Observations of solved frames, frame an index into OperatingPoint.frames; markers : MarkerMap
@@ -57,8 +58,8 @@ class SeenCorners:
         return replace(group_sightings(self.observations.take(rows), self.markers), stated=self.stated)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OperatingPoint:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class OperatingPoint(FieldSummaryRepr):
     """One point at which everything is linearised.
 
     design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)

@@ -37,6 +37,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     loop_closure_parameter_jacobian,
     strut_length_jacobian,
 )
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 from vision.bundle.pose_covariance_of_correlated_corner_errors import pose_covariance_of_unlike_errors
 
 CORNERS, CLOSURES = 0, 1  # the blocks
@@ -70,8 +71,8 @@ class Nuisances:
     at_rest: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearisedModel:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LinearisedModel(FieldSummaryRepr):
     """All that an OperatingPoint leaves, linear about it. linear : LinearModel of the blocks corners (px) and closures
     (m); point : OperatingPoint
     corners : CornerFrames; closures : ClosureFrames; nuisances : Nuisances; derivatives : of the corners, or None"""

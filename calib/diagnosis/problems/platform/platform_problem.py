@@ -43,10 +43,11 @@ from calib.diagnosis.problems.platform.simultaneous_refinement import (
 )
 from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 from rig.model.arm_hands_effect_places_and_tolerances import Place
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlatformFit:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlatformFit(FieldSummaryRepr):
     """refined : Refinement of the admitted effects; terms : the candidates that they come from, in the same order."""
 
     refined: Refinement
@@ -56,8 +57,8 @@ class PlatformFit:
 PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlatformProblem:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlatformProblem(FieldSummaryRepr):
     """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said
     beforehand
     tolerant : whether what tolerances may do on their own is among the nuisances

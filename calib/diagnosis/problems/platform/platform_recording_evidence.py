@@ -13,6 +13,7 @@ from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
+from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
     RESIDUALS,
@@ -29,6 +30,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     require_assumed_effects_testable,
     value_with_interval_cut_at_bounds,
 )
+from calib.diagnosis.problems.platform.detectable_platform_effect_sizes import detectable_platform_effect_sizes
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, platform_candidates
 from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import (
     closure_residuals,
@@ -79,13 +81,14 @@ from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 from vision.bundle.marker_displacements import Move, marker_displacements
 
 FACE_MOTION = effect_of_tolerance(PLACES)  # what a face is off by, however small
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlatformEvidence:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlatformEvidence(FieldSummaryRepr):
     """point : OperatingPoint with nothing admitted, faces exchanged put right; covariance : (F, 6, 6) of its poses;
     source : of the poses, in words
     requested : RequestedEffects; given : what is said beforehand
@@ -163,6 +166,9 @@ class PlatformEvidence:
         left = closure_residuals(selection.fit.refined.model)
         apart = pose_difference(k.T[pairs[:, 0]], k.T[pairs[:, 1]]) if len(pairs) else np.zeros((0, 6))
         return repeatability_of_pairs(pairs, (apart, np.zeros_like(apart)), (left[pairs[:, 0]], left[pairs[:, 1]]))
+
+    def detectable_sizes(self, selection: PlatformSelection) -> list[DetectableSize]:
+        return detectable_platform_effect_sizes(_problem(selection), selection.fit)
 
     def validations_by_region(self, selection: PlatformSelection) -> list[list[CrossValidation]]:
         problem, fit = _problem(selection), selection.fit

@@ -129,7 +129,7 @@ def candidate_column(
     if candidate.reach is Reach.MOUNT:
         pixels = (
             camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
-            * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
+            * camera_mount_share(model, candidate, node)[k.observed.observations.frame][:, None, None]
         )
         return model.fold(pixels)
     return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
@@ -301,14 +301,14 @@ def axis_normal_equations(
 def _mounted(
     model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float
 ) -> PlatformScore:
-    w = np.stack([_share(model, candidate, node) for node in candidate.grid])
+    w = np.stack([camera_mount_share(model, candidate, node) for node in candidate.grid])
     solved = inner.solve_normal_equations(inner.normal_equations_by_common_weights(products, w))
     return best_node_score(
         model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least
     )
 
 
-def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> Floats:
+def camera_mount_share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> Floats:
     """(F,) share of its motion that a mount has made by each frame."""
     camera = model.point.stated.camera(Place.parse(candidate.place).name)
     return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]

@@ -2,8 +2,7 @@
 
 Cameras, geometry, poses and effects' parameters, by Gauss-Newton.
 
-Parameters stay within their bounds: one that the data pull beyond stands at its bound, and the others make the best of
-it there.
+A parameter that the data pull beyond its bounds stands at its bound, and the others make the best of it there.
 """
 
 from collections.abc import Sequence
@@ -51,6 +50,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
+from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
 SMALL = 0.02  # standard deviations; a step below settles a parameter
@@ -60,8 +60,8 @@ ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
 SLACK = ENOUGH
 
 
-@dataclass(frozen=True, eq=False)
-class Refinement:
+@dataclass(frozen=True, eq=False, repr=False)
+class Refinement(FieldSummaryRepr):
     """point, model : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of
     them given nothing else; column : Column of their directions"""
 
