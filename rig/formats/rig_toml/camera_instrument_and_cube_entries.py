@@ -26,7 +26,7 @@ from rig.model.design import (
     Target,
 )
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube, parse_cube_turn_permission
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links
 from rig.model.pose import pose_to_vector
 from rig.model.protocol_and_port_names import USER_PROGRAMS, is_user_file_or_package
 
@@ -208,13 +208,21 @@ INSTRUMENT_KINDS = ("pose", "orientation", "distance", "direction")
 ROTATIONS_ALONE = ("orientation", "direction")
 
 
-def instrument_of_table(table: Entries) -> Instrument:
-    """Instrument of the table [instrument].
+def instrument_of_table(table: Entries, mechanism: Mechanism) -> Instrument:
+    """Instrument of the table [instrument] that measures a mechanism.
 
-    Raises FileError for figures that are missing, implausible or of what its kind does not see.
+    Raises FileError for figures that are missing, implausible or of what its kind does not see, and for a part of poses
+    where whole ones are required.
     """
     table.refuse_misspelt([field.name for field in fields(Instrument)])
     kind = table.text("kind", INSTRUMENT_KINDS, default="pose")
+    if kind != "pose" and not has_links(mechanism):
+        table.fail(
+            f"an instrument of kind {kind!r} measures arms; a mechanism of kind {mechanism.kind!r} takes "
+            'whole poses (kind = "pose") or cameras',
+            "kind",
+            value=kind,
+        )
     for key, seen in (("position_sigma", kind not in ROTATIONS_ALONE), ("rotation_sigma", kind != "distance")):
         if key in table.tree and not seen:
             table.fail(

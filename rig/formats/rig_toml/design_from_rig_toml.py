@@ -118,7 +118,7 @@ def design_of_entries(root: Entries) -> Design:
         name=root.text("name", default="rig"),
         gravity=gravity,
         mechanism=mechanism,
-        instrument=instrument_of_table(root.table("instrument")) if "instrument" in root.tree else None,
+        instrument=instrument_of_table(root.table("instrument"), mechanism) if "instrument" in root.tree else None,
         actuator=actuator,
         platform=_platform(root.table("platform", optional=True)),
         cameras=cameras,

@@ -13,7 +13,9 @@ from calib.models.arm.error_model_and_observations import orientation_observatio
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.errors import FileError, RigError
+from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.pose import exp, pose, pose_difference
+from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from tests.calib import secret_arms as worlds
 from tests.cli import command
@@ -142,6 +144,18 @@ def test_a_wires_lengths_and_orientations_are_read(tmp_path):
 def test_what_an_instrument_cannot_have_seen_is_named(tmp_path, kind, rows, sigma, columns, says):
     with pytest.raises(FileError, match=re.escape(says)):
         recording_folder.load_recording(written(tmp_path / "a", kind, rows, sigma, columns))
+
+
+@pytest.mark.parametrize("kind, sigma", [("distance", "position_sigma = 1e-5"), ("direction", "rotation_sigma = 1e-5")])
+def test_a_platform_with_a_part_of_poses_is_refused_in_rig_toml(tmp_path, kind, sigma):
+    path = tmp_path / "rig.toml"
+    text = hexapod_layout_rig_toml(0.3) + f'\n[instrument]\nbase = "rig"\ntool = "rig"\nkind = "{kind}"\n{sigma}\n'
+    path.write_text(text)
+    says = f"kind '{kind}' measures arms; a mechanism of kind 'hexapod' takes whole poses"
+    with pytest.raises(FileError, match=says):
+        FileError, match=f"kind '{kind}' measures arms; a mechanism of kind 'hexapod' takes whole poses"
+    ):
+        load_design(path)
 
 
 def test_what_was_measured_of_poses_is_told_by_what_is_known():
