@@ -81,7 +81,9 @@ def smooth_image_errors(
         products[f, i, :, i] = columns[a:b].T @ columns[a:b]
     flat = onto.reshape(F, L, -1)
     size, taken = (columns**2).sum(axis=1).reshape(-1, 2).sum(axis=1), (flat**2).sum(axis=(1, 2))
-    rest = products.reshape(F, flat.shape[2], -1) - np.swapaxes(flat, 1, 2) @ flat
+    rest = products.reshape(F, flat.shape[2], -1)
+    for f in range(F):  # in place: the largest array there is
+        rest[f] -= flat[f].T @ flat[f]
     spare = np.where(own, np.maximum(1 - leverage, LEAST), 0.0)
     return SmoothImageErrors(
         columns, starts, frame[starts], camera[starts], flat, rest, size, taken, _parts(camera, place), spare
