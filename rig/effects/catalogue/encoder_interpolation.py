@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.effects.framework.effect import Candidate, Effect
@@ -104,4 +103,5 @@ def are_periods_aliased(lengths: Floats, periods: Floats) -> Booleans:
     Steps that are whole multiples of a pitch show nothing of what is within it.
     """
     window = np.abs(np.exp(2j * np.pi * periods[:, None] * lengths).mean(axis=1))
-    return binary_dilation(window > ALIAS, iterations=round(SLOWEST / FINE))
+    reach = round(SLOWEST / FINE)
+    return np.convolve(window > ALIAS, np.ones(2 * reach + 1))[reach:-reach] > 0.5
