@@ -25,7 +25,6 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod_or_redundant_hexapod,
 )
 from rig.model.pose import pose
-from rig.planning.sobol_points import DIRECTIONS, scrambled_sobol_points
 
 FILL = 0.8  # of the strokes that plans use
 FARTHEST = 1.0  # m or rad from home, or times a way
@@ -50,11 +49,9 @@ def evenly_spread_configurations(mechanism: Commanded, count: int, fill: float =
 
 def _sobol_points(axes: int, count: int, seed: int) -> Floats:
     """Scrambled Sobol points (count, axes) of the unit cube, 0 to 1."""
-    whole = int(np.ceil(np.log2(max(count, 2))))
-    if axes <= len(DIRECTIONS):
-        return scrambled_sobol_points(axes, whole, seed)[:count]
-    import scipy.stats.qmc  # takes half a second
+    import scipy.stats.qmc  # takes a third of a second
 
+    whole = int(np.ceil(np.log2(max(count, 2))))
     return np.asarray(scipy.stats.qmc.Sobol(axes, rng=np.random.default_rng(seed)).random_base2(whole)[:count])
 
 
