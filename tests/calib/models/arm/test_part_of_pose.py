@@ -153,8 +153,6 @@ def test_a_platform_with_a_part_of_poses_is_refused_in_rig_toml(tmp_path, kind, 
     path.write_text(text)
     says = f"kind '{kind}' measures arms; a mechanism of kind 'hexapod' takes whole poses"
     with pytest.raises(FileError, match=says):
-        FileError, match=f"kind '{kind}' measures arms; a mechanism of kind 'hexapod' takes whole poses"
-    ):
         load_design(path)
 
 
