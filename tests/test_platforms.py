@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from tests import missing_system_modules
+from tests.cli import run
 from tests.conftest import ROOT
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="of a system that has all")
@@ -86,8 +87,8 @@ def test_every_module_is_imported_without_what_windows_lacks(tmp_path):
 COMMANDS = """
 from rig.cli.command_line import main
 for words in (
-    "new r --defaults --radius 300mm --quiet",
     "simulate r/rig.toml --plan sobol:24 --seed 3 --truth truth.json --out rec --quiet",
+    "simulate r/rig.toml --machine truth.json --plan sobol:30 --seed 5 --out second --quiet",
     "check rec",
     "measure rec --out measured --quiet",
     "calibrate measured --out calibration.json --quiet",
@@ -95,8 +96,16 @@ for words in (
     "simulate r/rig.toml --machine truth.json --plan commands:commands.csv --seed 4 --out after --quiet",
     "verify calibration.json after --wanted wanted.csv",
     "view measured --page view.html",
+    "certify calibration.json after second --out certificate --coverage 0.8 --quiet",
     "export calibration.json --format csv --out geometry.csv",
+    "export calibration.json --format urdf --out machine.urdf",
+    "export calibration.json --format linuxcnc-kins --out rigkins.c",
+    "export measured --format parquet --out measured.parquet",
+    "import pictures/images --rig r/rig.toml --commands pictures/commands.csv --frames pictures/frames.csv --out seen",
+    "check seen --detect",
+    "measure seen --out measured_in_images --quiet",
     "diagnose measured --out diagnosis",
+    "calibrate measured --diagnosis diagnosis --out refined.json --quiet",
 ):
     status = main(words.split())
     assert status in (0, 3), (words, status)
@@ -108,6 +117,9 @@ WANTED = "frame,x,y,z,rx,ry,rz\n" + "".join(f"{i},0.0{i},0.01,0.45,0.0,0.0{i},0.
 @POSIX
 def test_the_way_of_files_is_gone_without_what_windows_lacks(tmp_path):
     (tmp_path / "wanted.csv").write_text(WANTED)
+    run("new", tmp_path / "r", "--defaults", "--radius", "300mm", "--quiet")  # pictures take the EGL of this system
+    words = ("--plan", "sobol:6", "--seed", 6, "--images", "--out", tmp_path / "pictures", "--quiet")
+    run("simulate", tmp_path / "r" / "rig.toml", *words)
     done = without_posix(COMMANDS, tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stderr, done.stderr
@@ -116,7 +128,10 @@ def test_the_way_of_files_is_gone_without_what_windows_lacks(tmp_path):
         "commands.csv",
         "after/corners.csv",
         "measured/poses.csv",
+        "certificate/certificate.json",
+        "measured_in_images/poses.csv",
         "diagnosis/diagnosis.json",
+        "refined.json",
     ):
         assert (tmp_path / name).stat().st_size > 0
     assert not list(tmp_path.rglob(".rig-new-*")) and not list(tmp_path.rglob(".rig-*.part"))
