@@ -28,7 +28,6 @@ from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
-from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     has_links,
@@ -118,12 +117,11 @@ class LearningResult(OneLineRepr):
         }
 
     def save(self, path: Path) -> None:
-        """Save the learner's state, to go on from."""
+        """Save the learner's state, to go on from: of a machine of a kinematics file beside that file."""
         learner = self.found.learner
         if isinstance(learner, Online):
             learner.save(path)
         else:
-            write_kinematics_file(path.parent, learner.nominal)
             save_learner(path, learner)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:

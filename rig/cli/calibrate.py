@@ -124,12 +124,12 @@ def _add_extension_options(parser: ArgumentParser) -> None:
     )
 
 
-def _write_kinematics_file(arguments: Namespace, mechanism: Mechanism) -> None:
-    """Write the kinematics file of a mechanism beside calibration.json, where it is not there already."""
+def _write_kinematics_file(out: Path, arguments: Namespace, mechanism: Mechanism) -> None:
+    """Write the kinematics file of a mechanism beside a file `out`, where it is not there already."""
     from rig.formats.output_files import STANDARD_OUTPUT
     from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 
-    places = [arguments.out.with_name(name) for name in mechanism.files if arguments.out != STANDARD_OUTPUT]
+    places = [out.with_name(name) for name in mechanism.files if out != STANDARD_OUTPUT]
     for place in places:
         folder = place.parent if place.exists() else arguments.outputs.file(place).parent
         write_kinematics_file(folder, mechanism)
@@ -151,7 +151,7 @@ def run(arguments: Namespace) -> None:
     )
 
     out = arguments.outputs.file(arguments.out)
-    _write_kinematics_file(arguments, recordings[0].design.mechanism)
+    _write_kinematics_file(arguments.out, arguments, recordings[0].design.mechanism)
     page = arguments.outputs.stage_file(out, ".html")
     links = page_links(arguments, arguments.out.with_suffix(".html")) if page else []
     separate = page is not None and has_axis_correction_summands(recordings[0].design)
@@ -295,6 +295,8 @@ def run_online(arguments: Namespace) -> None:
     from calib.api.parameter_learning_pose_by_pose_from_recording import learn
 
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
+    if arguments.state is not None:
+        _write_kinematics_file(arguments.state, arguments, recording.design.mechanism)
     page, options = page_path(arguments), _learn_options(arguments, limbs)
     result = learn(recording, options, progress, notice_printer(progress))
     if state is not None:

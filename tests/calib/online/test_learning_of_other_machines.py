@@ -31,12 +31,11 @@ def test_learning_on_line_ends_where_the_batch_does(which, tmp_path):
 
 def test_a_state_goes_on_beside_its_kinematics_file(tmp_path):
     one = Watched("delta", tmp_path)
-    (tmp_path / "state").mkdir()
     first = learn(one.first)
-    first.save(tmp_path / "state" / "delta.json")
-    again = load_learner(tmp_path / "state" / "delta.json")
+    first.save(tmp_path / "first" / "state.json")
+    again = load_learner(tmp_path / "first" / "state.json")
     np.testing.assert_array_equal(again.p, first.learner.p)
-    later = learn(one.recording("later", one.route), LearnOptions(tmp_path / "state" / "delta.json"))
+    later = learn(one.recording("later", one.route), LearnOptions(tmp_path / "first" / "state.json"))
     assert later.learner.number == first.learner.number + 12
     assert later.tree()["poses_before"] == first.learner.number and json.dumps(later.tree())
 
