@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text
+from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text, values_text
 from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
@@ -124,8 +124,8 @@ def require_safe_path(
 ) -> None:
     """Raise Unreachable unless the straight path is safe.
 
-    Ranges, largest step, workspace, singularities. In its own axes a serial machine passes singularities as any other
-    place, and its workspace is the ranges.
+    Largest step, workspace, singularities; of a chain stage by stage. In its own axes a serial machine passes
+    singularities as any other place, and its workspace is the ranges.
     start, target : (n,) m or rad, start as read back, which may lie outside the range as long as the way leads inwards
     singularity_margin : least singular value of the Jacobian as a share of that at home; max_step : m or rad, or None
     zero : (n,) m, lengths where the controller counts 0, for a hint at its units
@@ -140,9 +140,23 @@ def require_safe_path(
                 f"{greatest_distance_text(np.full(len(start), max_step), mechanism)}"
             ],
         )
-    if not is_parallel(mechanism):
-        return
-    count = int(np.clip(np.ceil(step / SPACING), FEWEST, MOST))
+    zero, at = np.broadcast_to(zero, start.shape), 0
+    for number, stage in enumerate(mechanism.stages, 1):
+        own = slice(at, at + len(stage.axes))
+        at = own.stop
+        if is_parallel(stage):
+            place = f"stage {number}, " if len(mechanism.stages) > 1 else ""
+            _require_safe_platform_path(start[own], target[own], stage, singularity_margin, zero[own], place)
+
+
+def _require_safe_platform_path(
+    start: Floats, target: Floats, mechanism: Parallel, singularity_margin: float, zero: Floats, place: str
+) -> None:
+    """Raise Unreachable unless the straight path of a parallel mechanism stays in its workspace, off singularities.
+
+    start, target, zero : (n,) m or rad; place : in a chain, for messages, or ""
+    """
+    count = int(np.clip(np.ceil(np.abs(target - start).max() / SPACING), FEWEST, MOST))
     share = np.linspace(0.0, 1.0, count + 1)
     path = start + share[:, None] * (target - start)
     module = mechanisms.kinematics_of(mechanism)
@@ -154,7 +168,7 @@ def require_safe_path(
     except NotConverged as error:
         k = int(np.min(error.index))
         hint = unit_hint(start - zero, module.travel_ranges(mechanism).T - zero)
-        where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE + hint] if k == 0 else [])]
+        where = [f"{place}{share[k]:.0%} along: {error}", *([OUT_OF_RANGE + hint] if k == 0 else [])]
         raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
     least = _dexterity(poses, path, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
     if least.min() < singularity_margin:
@@ -163,9 +177,8 @@ def require_safe_path(
             "not moved: the path comes too near a singularity",
             [k],
             [
-                f"{share[k]:.0%} along, at lengths {path[k].round(6).tolist()} m: {least[k]:.3f} of the "
-                "Jacobian's least singular "
-                f"value at home is left, [controller] margin requires {singularity_margin:g}"
+                f"{place}{share[k]:.0%} along, at {values_text(path[k], mechanism)}: {least[k]:.3f} of the Jacobian's "
+                f"least singular value at home is left, [controller] margin requires {singularity_margin:g}"
             ],
         )
 
