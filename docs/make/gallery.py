@@ -21,7 +21,7 @@ Made from the scripts in `docs/gallery` (`python -m docs.make.gallery`). Each ru
 simulates its machine. For your own machine, omit the lines that simulate, and give its recording folder to `rig.load`.
 The last digits may differ on another computer.
 
-![Position error of 24 poses: about 1 mm by the nominal model, mostly below 0.3 mm corrected](figures/errors.svg)
+![Position error of 24 poses: about 1.6 mm by the nominal model, mostly below 0.3 mm corrected](figures/errors.svg)
 
 The figure shows what *calibrate* and *verify* below compare: the error of each pose before and after correction.
 """
