@@ -62,6 +62,13 @@ def controller_of_table(table: Entries, mechanism: Mechanism, actuator: Actuator
         if not is_hexapod(mechanism):
             table.fail(f"protocol {protocol} drives a hexapod, not a mechanism of kind {mechanism.kind!r}", "protocol")
         home = home_values(mechanism) if home is None else home
+    kinematics = table.text("kinematics", ("joint", "world"), default="joint")
+    if kinematics == "world" and not is_hexapod(mechanism):
+        table.fail(
+            f'{table.name("kinematics")} = "world" sends poses of a hexapod; a mechanism of kind {mechanism.kind!r} '
+            'takes "joint"',
+            "kinematics",
+        )
     for keys, protocols in ((("work", "tool"), names.TAKE_POSES), (("angles",), names.STATE_ANGLES)):
         for key in [key for key in keys if key in table.tree and protocol not in protocols]:
             table.fail(f"{' and '.join(keys)} are stated of protocol {', '.join(protocols)}", key)
@@ -82,7 +89,7 @@ def controller_of_table(table: Entries, mechanism: Mechanism, actuator: Actuator
         table.number("timeout", default=2.0, above=0, most=60, unit="s"),
         table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
         table.number("watchdog", default=1.0, above=0, most=60, unit="s"),
-        table.text("kinematics", ("joint", "world"), default="joint"),
+        kinematics,
         table.text("password", default="EMC"),
         table.text("enable_password", default="EMCTOO"),
         table.text("ini", default=""),

@@ -87,6 +87,7 @@ def test_ranges_steps_and_speeds_of_joints_are_checked(tmp_path):
         ("ur10", 'protocol = "gcs"\nport = "none"\n', "joints that turn take"),
         ("panda", 'protocol = "urscript"\nport = "none"\n', "drives six joints"),
         ("ur10", 'protocol = "urscript"\nport = "none"\nhoming = true\n', "must state where homing = true"),
+        ("stanford", 'protocol = "linuxcnc"\nport = "none"\nkinematics = "world"\n', "poses of a hexapod"),
     ],
 )
 def test_controllers_that_do_not_suit_an_arm_are_refused(tmp_path, arm, controller, says):
