@@ -8,7 +8,7 @@ components and applications, 1988), and from there how their terms go together b
 817-838).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ HEAVY = 0.1  # by which the mean square of errors must exceed what their middle 
 LEAST = 0.05  # of the squares: errors of neighbouring corners are never quite alike
 FEW = 2.0  # corners' worth of usual errors that every part is taken to have beside its own
 CHANCE = 1e-6  # that the errors in one of all parts are as unlike the others
+BLOCK = 64  # frames whose products of all cameras' columns are held at once; these grow as the square of the cameras
 ROUNDS = 20  # of expectation and maximisation; what images hardly tell stays near the estimate by moments
 PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal and independent ones
 
@@ -35,7 +36,7 @@ class SmoothImageErrors:
     columns : (2n, 2K) 1/px of each corner's own image, by polynomials of mean square 1 in each direction together
     starts, frame, camera : (I,) each image's first corner, its frame and camera
     onto : (F, L, 2K C) on the frames' own poses
-    left : (F, 2K C, 2K C) what frames' own poses leave of the columns' products with each other
+    products : (I, 2K, 2K) of each image's columns with each other
     size : (n,) sum of squares of each corner's rows of the columns; taken : (F,) of what the frames' own poses take
     part : (n,) each corner's camera and ring, and spare : (n,) how much of its errors' squares the poses leave
     """
@@ -45,11 +46,24 @@ class SmoothImageErrors:
     frame: Integers
     camera: Integers
     onto: Floats
-    left: Floats
+    products: Floats
     size: Floats
     taken: Floats
     part: Integers
     spare: Floats
+
+    def blocks(self) -> Iterator[tuple[slice, slice, Floats]]:
+        """Yield of each block of f frames (the frames, their images, (f, 2K C, 2K C) what the frames' own poses leave
+        of the columns' products with each other).
+        """
+        width = self.products.shape[1]
+        for begin in range(0, len(self.onto), BLOCK):
+            onto = self.onto[begin : begin + BLOCK]
+            a, b = np.searchsorted(self.frame, [begin, begin + BLOCK]).tolist()
+            left = -np.swapaxes(onto, 1, 2) @ onto
+            of_cameras = left.reshape(len(onto), -1, width, left.shape[2] // width, width)
+            of_cameras[self.frame[a:b] - begin, self.camera[a:b], :, self.camera[a:b]] += self.products[a:b]
+            yield slice(begin, begin + len(onto)), slice(a, b), left
 
 
 def smooth_image_errors(
@@ -74,19 +88,16 @@ def smooth_image_errors(
     columns = (whiten(pixels) * own[:, None, None]).reshape(2 * len(order), -1)
     starts = np.flatnonzero(np.r_[True, (np.diff(camera) != 0) | (np.diff(frame) != 0)])
     F, L, width = len(edges) - 1, local.shape[1], columns.shape[1]
-    onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((F, len(cameras), width, len(cameras), width))
+    onto, products = np.zeros((F, L, len(cameras), width)), np.zeros((len(starts), width, width))
     for image, (a, b) in enumerate(zip(2 * starts, [*2 * starts[1:], 2 * len(order)])):
         f, i = frame[starts[image]], camera[starts[image]]
         onto[f, :, i] = local[a:b].T @ columns[a:b]
-        products[f, i, :, i] = columns[a:b].T @ columns[a:b]
+        products[image] = columns[a:b].T @ columns[a:b]
     flat = onto.reshape(F, L, -1)
     size, taken = (columns**2).sum(axis=1).reshape(-1, 2).sum(axis=1), (flat**2).sum(axis=(1, 2))
-    rest = products.reshape(F, flat.shape[2], -1)
-    for f in range(F):  # in place: the largest array there is
-        rest[f] -= flat[f].T @ flat[f]
     spare = np.where(own, np.maximum(1 - leverage, LEAST), 0.0)
     return SmoothImageErrors(
-        columns, starts, frame[starts], camera[starts], flat, rest, size, taken, _parts(camera, place), spare
+        columns, starts, frame[starts], camera[starts], flat, products, size, taken, _parts(camera, place), spare
     )
 
 
@@ -143,9 +154,10 @@ def sizes_of_unlike_errors(errors: SmoothImageErrors, left: Floats, edges: Integ
         return level * shares, np.zeros((width, width))
     # both from what all squares are, and those along the smooth columns
     left_of_columns = errors.size.sum() - errors.taken.sum()
-    A = np.array([[2 * total, left_of_columns], [white_alone.sum(), (errors.left**2).sum()]])
+    squares = sum(float((block**2).sum()) for _, _, block in errors.blocks())
+    A = np.array([[2 * total, left_of_columns], [white_alone.sum(), squares]])
     white, smooth = np.linalg.solve(A, [2 * square.sum(), seen.sum()])
-    along = np.zeros((F, errors.left.shape[1] // width, width))
+    along = np.zeros((F, errors.onto.shape[2] // width, width))
     along[errors.frame, errors.camera] = v
     white, Sigma = _smooth_covariance(errors, along, mean_share, max(white, LEAST * level), max(smooth, 0.0))
     return white * shares, Sigma
@@ -159,22 +171,25 @@ def _smooth_covariance(
 
     along : (F, C, 2K) of the residuals on the columns; share : (F,) of the mean square of each frame's errors
     """
-    F, C, width = along.shape
-    squares = white * errors.spare.sum() * 2 + smooth * np.einsum("fii->", errors.left)
+    _, C, width = along.shape
+    alone = errors.products.sum(axis=0)  # what the frames' own poses leave of each image's own products
+    for k in range(C):
+        onto = errors.onto[:, :, width * k : width * (k + 1)].reshape(-1, width)
+        alone = alone - onto.T @ onto
+    squares = white * errors.spare.sum() * 2 + smooth * np.trace(alone)
     Sigma = smooth * np.eye(width)
     for _ in range(ROUNDS):
-        whole = np.kron(np.eye(C), Sigma)
-        noise = (white * share)[:, None, None]
-        posterior = np.linalg.solve(
-            np.eye(C * width) + whole @ errors.left / noise, np.broadcast_to(whole, errors.left.shape)
-        )
-        mean = (posterior @ along.reshape(F, -1, 1) / noise).reshape(F, C, width)[errors.frame, errors.camera]
-        spread = posterior.reshape(F, C, width, C, width)[errors.frame, errors.camera, :, errors.camera]
-        both = (mean.T @ mean + spread.sum(axis=0)) / len(mean)
+        whole, both = np.kron(np.eye(C), Sigma), np.zeros((width, width))
+        for frames, images, left in errors.blocks():
+            noise = (white * share[frames])[:, None, None]
+            posterior = np.linalg.solve(np.eye(C * width) + whole @ left / noise, np.broadcast_to(whole, left.shape))
+            f, i = errors.frame[images] - frames.start, errors.camera[images]
+            mean = (posterior @ along[frames].reshape(len(left), -1, 1) / noise).reshape(-1, C, width)[f, i]
+            both += mean.T @ mean + posterior.reshape(-1, C, width, C, width)[f, i, :, i].sum(axis=0)
+        both /= len(errors.frame)
         one = np.einsum("aibi->ab", both.reshape(width // 2, 2, width // 2, 2)) / 2  # alike in both directions
         Sigma = np.kron(one, np.eye(2))
-        taken = np.einsum("fij,ij->", errors.left, np.kron(np.eye(C), Sigma))
-        white = max((squares - taken) / (2 * errors.spare.sum()), LEAST * white)
+        white = max((squares - (alone * Sigma).sum()) / (2 * errors.spare.sum()), LEAST * white)
     return white, Sigma
 
 

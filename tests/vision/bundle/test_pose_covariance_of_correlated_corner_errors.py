@@ -2,6 +2,7 @@
 laws other than those that the estimate assumes.
 """
 
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -106,6 +107,21 @@ def test_poses_scatter_as_the_covariance_says(corners, law):
     ratio = np.linalg.eigvals(np.linalg.solve(stated, seen)).real
     assert np.trace(seen) > 1.2 * 6  # equal and independent errors would make 6 of it
     assert ratio.min() > 0.7 and ratio.max() < 1.4
+
+
+def test_memory_does_not_grow_as_the_square_of_the_cameras():
+    frames, cameras, seen = 400, 8, 6
+    rng = np.random.default_rng(3)
+    air = np.repeat(rng.normal(size=(frames * cameras, 2)), seen, axis=0)
+    tracemalloc.start()
+    try:
+        errors, local, edges, place, _ = drawn_corners(frames, cameras, seen)
+        _, rest = split(local, air + rng.normal(size=place.shape), frames)
+        assert pose_covariance_of_unlike_errors(errors, rest, local, edges) is not None
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < frames * (20 * cameras) ** 2 * 8  # bytes of all frames' products of all columns
 
 
 @pytest.mark.parametrize("number", [7, 9, 26], ids=lambda number: QuietCorners(number, 3000).spoils)
