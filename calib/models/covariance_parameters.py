@@ -29,6 +29,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_parallel,
 )
 
+UNMEASURED = 1e-2  # rad, scatter of rotations that a calibration says nothing of: it holds them to no model
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CovarianceParameters:
@@ -65,10 +67,11 @@ def covariance_parameters(mechanism: Commanded) -> CovarianceParameters:
 
 def pose_scatter_covariance(mechanism: Commanded, scatter: Floats, T_base_platform: RigidTransform) -> Floats:
     """Covariance (n, 6, 6) of poses (n,) by a calibration's scatter: of each axis of a parallel machine, (axes,) m or
-    rad, else of the pose, (6,) m and rad, or (3,) m where no rotation was measured, for which the same is put.
+    rad, else of the pose, (6,) m and rad, or (3,) m where no rotation was measured: rotations are then UNMEASURED.
     """
     if isinstance(mechanism, Arm | Chain):
-        return np.tile(np.diag(np.resize(scatter, 6) ** 2), (len(T_base_platform), 1, 1))
+        whole = np.r_[scatter, [UNMEASURED] * (6 - len(scatter))]
+        return np.tile(np.diag(whole**2), (len(T_base_platform), 1, 1))
     spread = inverse_strut_length_jacobian(T_base_platform, require_parallel(mechanism)) * scatter
     return spread @ np.swapaxes(spread, 1, 2)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction, calibrate_correction
@@ -11,7 +12,7 @@ from calib.drift.visit_configurations import choose_visit_configurations
 from calib.drift.visit_history import History, add_visit_and_judge_change, read_history, write_history
 from calib.models.arm.certification import calibrate_arm
 from calib.models.chain.error_model_and_identification import identify_chain
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.covariance_parameters import covariance_parameters, pose_scatter_covariance
 from calib.samples.pose_samples import sample_recording
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning import plan
@@ -117,3 +118,8 @@ def test_a_drift_is_named_within_two_visits_and_nothing_before(which, tmp_path):
     assert verdict.alarm and verdict.named is not None
     assert (verdict.named.name, verdict.named.since) == (name, QUIET)
     assert abs(verdict.named.value[0] - size) < 3 * verdict.named.sigma[0] < size
+
+
+def test_a_calibration_by_positions_holds_no_rotations():
+    covariance = pose_scatter_covariance(UR10, np.full(3, 2e-5), RigidTransform.identity(1))[0]
+    assert (np.sqrt(np.diag(covariance)[:3]) == 2e-5).all() and (np.sqrt(np.diag(covariance)[3:]) > 1e-3).all()
