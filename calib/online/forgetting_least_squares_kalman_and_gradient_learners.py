@@ -55,6 +55,11 @@ class Learner(ABC):
         self.free = np.flatnonzero((self.parameters.tolerance > 0) & (np.diag(covariance) > 0))
         self._begin(covariance[np.ix_(self.free, self.free)])
 
+    @property
+    def scale(self) -> Floats:
+        """(f,) m or rad of one count of what is free."""
+        return self.parameters.scale[self.free]
+
     @abstractmethod
     def _begin(self, covariance: Floats) -> None:
         """Forget all poses. covariance : (f, f) of what is free"""
@@ -165,7 +170,7 @@ class Drifting(Learner):
 
     def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         unit = np.eye(len(self.free))
-        P = self.memory + self.setting**2 * unit
+        P = self.memory + np.diag((self.setting / self.scale) ** 2)
         step, innovation = np.zeros(len(self.free)), np.zeros(0)
         for _ in range(self.iterations):
             e, J = self.rows(x, T_base_platform, covariance, self._stepped(step))
@@ -201,13 +206,13 @@ class FirstOrder(Learner):
 
     def _begin(self, covariance: Floats) -> None:
         self.memory = np.zeros(len(self.free))  # steps no longer than what is known is uncertain
-        self.setting = min(self.setting, float(np.sqrt(np.mean(np.diag(covariance)))))
+        self.setting = min(self.setting, float(np.sqrt(np.mean(np.diag(covariance) * self.scale**2))))
 
     def _followed(self, x: Floats, T_base_platform: RigidTransform, covariance: Floats) -> Floats:
         e, J = self.rows(x, T_base_platform, covariance, self.p)
         gradient = -J.T @ e
         self.memory = self.memory + gradient**2
-        self.p = self._stepped(-self.setting * gradient / np.sqrt(np.maximum(self.memory, 1e-300)))
+        self.p = self._stepped(-self.setting / self.scale * gradient / np.sqrt(np.maximum(self.memory, 1e-300)))
         return e
 
 

@@ -7,11 +7,13 @@ from calib.models.platform.identification import identify_platform, pose_paramet
 from calib.online import forgetting_least_squares_kalman_and_gradient_learners as learners
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError
-from rig.model.mechanisms import hexapod
+from rig.formats.rig_toml.design_from_rig_toml import load_design
+from rig.model.mechanisms import hexapod, kinematics_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, pose_difference
 from tests.calib.noisy_samples import OWN, rms, sampled, workspace
 from tests.calib.pose_streams import COVARIANCE, learnt, stream
+from tests.conftest import ROOT
 
 ALL = (Forgetting, Drifting, FirstOrder)
 
@@ -123,3 +125,32 @@ def test_what_a_calibration_knows_is_not_thrown_away(design, method):
     learner.start_from(np.eye(42) * 1e-12)
     learnt(design, poses, learner)
     assert np.abs(learner.p - geometric_parameters(poses.before)).max() < 2e-5
+
+
+@pytest.fixture
+def crank_pose():
+    """(mechanism whose parameters count otherwise than in m and rad, axis values, a pose off its model)."""
+    mechanism = load_design(ROOT / "docs" / "kinematics" / "cranks.toml").mechanism
+    values = kinematics_of(mechanism).home_values(mechanism)
+    T = kinematics_of(mechanism).forward(values, mechanism) * exp(np.full(6, 1e-4))
+    return mechanism, values, T
+
+
+def test_drift_is_in_m_and_rad_whatever_the_parameters_count(crank_pose):
+    mechanism, values, T = crank_pose
+    learner = Drifting(mechanism, drift=1e-3)
+    learner.memory = np.zeros_like(learner.memory)
+    learner.update(values, T, 1e6 * np.eye(6))
+    scale = learner.parameters.scale[learner.free]
+    assert np.ptp(scale) > 1
+    np.testing.assert_allclose(np.sqrt(np.diag(learner.covariance)) * scale, 1e-3, rtol=1e-3)
+
+
+def test_a_first_step_is_in_m_and_rad_whatever_the_parameters_count(crank_pose):
+    mechanism, values, T = crank_pose
+    learner = FirstOrder(mechanism, step=1e-5)
+    before = learner.p
+    learner.update(values, T, COVARIANCE)
+    moved = (np.abs(learner.p - before) * learner.parameters.scale)[learner.free][learner.memory > 1e-12]
+    assert len(moved) > 12
+    np.testing.assert_allclose(moved, 1e-5)
