@@ -26,6 +26,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel, req
 from rig.model.pose import pose_to_vector
 from rig.planning.layout import shipped_arms_and_layouts
 
+FOLLOWS = 1e-6  # rad or m to which a stated value of a joint that follows another must be as the coupling has it
 SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below which a configuration is called singular
 
 
@@ -49,12 +50,19 @@ class ArmKinematics:
         """Poses that joint values q (n, joints) rad or m give, as `rig arm kinematics --forward --json` prints them.
 
         frames : (n,) their numbers; steps : whether points and vectors after each joint are given
-        Raises RigError for a trace of iterations, of which an arm has none
+        Raises RigError for a trace of iterations, of which an arm has none, and for values of joints that follow others
+        and stand elsewhere than these lead them
         """
         if trace:
             forward_solution_steps(q[0], self.arm)
         arm, correction = self.arm, self.correction
-        q = arm.with_followers(q)
+        followed = arm.with_followers(q)
+        for i, j in np.argwhere(np.abs(followed - q) > FOLLOWS)[:1]:
+            raise RigError(
+                f"frame {frames[i]}: {mechanisms.axis_place_texts(arm)[j]} follows another by [[mechanism.coupling]], "
+                f"which has it at {followed[i, j]:.9g} {mechanisms.axis_units(arm)[j]}, not at {q[i, j]:.9g}; state that"
+            )
+        q = followed
         T = mechanism.forward(q, arm)
         beyond = mechanism.signed_limit_excess(q, arm)
         out = []

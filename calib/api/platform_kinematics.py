@@ -65,7 +65,7 @@ class PlatformKinematics:
             else:
                 entry |= {"pose": pose_to_vector(T).tolist(), "near_singular": _near_singular(T, self.platform)}
                 if self.correction is not None:
-                    entry["corrected"] = pose_to_vector(self.correction.predict(values)).tolist()
+                    entry |= self._corrected(values)
             out.append(entry | (self._trace(values) if trace else {}))
         return {"schema": "kinematics/1", "units": list(axis_units(self.platform)), "frames": out}
 
@@ -97,6 +97,14 @@ class PlatformKinematics:
             "form": "each axis by an equation of its own",
             "frames": out,
         }
+
+    def _corrected(self, values: Floats) -> Json:
+        """The pose of axis values (axes,) as calibrated, or why there is none."""
+        assert self.correction is not None
+        try:
+            return {"corrected": pose_to_vector(self.correction.predict(values)).tolist()}
+        except NotConverged as error:
+            return {"corrected": None, "refused": str(error)}
 
     def _trace(self, values: Floats) -> Json:
         mechanism, steps = forward_solution_steps(values, self.platform)

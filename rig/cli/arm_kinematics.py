@@ -99,7 +99,8 @@ def _forward_text(tree: Json) -> list[str]:
             f"frame {entry['frame']}: {_joints(entry['q'], tree['units'])} -> {_pose(entry['pose'])}; {near}{beyond}"
         )
         if "corrected" in entry:
-            lines.append(f"  as calibrated {_pose(entry['corrected'])}")
+            corrected = entry["corrected"]
+            lines.append(f"  as calibrated {entry['refused'] if corrected is None else _pose(corrected)}")
         lines += _steps_text(entry.get("steps", []), tree["units"], "at zero", ("turned about", "moved along"))
         lines += _trace_text(entry, tree["units"])
     return lines

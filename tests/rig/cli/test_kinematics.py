@@ -10,6 +10,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.arm_kinematics import ArmKinematics
+from calib.api.platform_kinematics import PlatformKinematics
+from calib.correction.correction import Correction
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
 from rig.formats.rig_toml.design_from_rig_toml import load_design
@@ -214,6 +216,19 @@ def test_a_trace_of_axis_values_without_a_pose_is_printed_all_the_same(tmp_path,
     assert (
         "have no pose near home" in text and "  iteration 1: from" in text and "iterations; no pose was found" in text
     )
+
+
+def test_a_row_without_a_pose_as_calibrated_ends_no_table(tmp_path, rig, monkeypatch):
+    """The calibrated platform may close on no pose where the nominal one does."""
+    nominal = load_design(platform_file("6", tmp_path)).mechanism
+    home = kinematics_of(nominal).home_values(nominal)
+    longer = replace(nominal, strut_zeros=np.array([5.0, 0, 5.0, 0, 5.0, 0]))
+    machine = PlatformKinematics(nominal, Correction(nominal, longer, (None,) * 6))
+    monkeypatch.setattr("calib.api.arm_kinematics.load_kinematics", lambda text: machine)
+    values = table(tmp_path / "q.csv", nominal.axes, np.array([home, home]))
+    (entry, _) = json.loads(rig(tmp_path / "rig.toml", "--forward", values, "--json"))["frames"]
+    assert entry["pose"] is not None and entry["corrected"] is None and entry["refused"]
+    assert f"  as calibrated {entry['refused']}" in rig(tmp_path / "rig.toml", "--forward", values)
 
 
 @pytest.mark.parametrize(

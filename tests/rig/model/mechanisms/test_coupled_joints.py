@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rig
+from calib.api.arm_kinematics import ArmKinematics
 from calib.models.arm.error_model_and_observations import arm_with_parameter_step, parameter_jacobian, parameter_names
 from rig.errors import FileError, RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Coupling
@@ -131,3 +132,12 @@ def test_a_machine_with_coupled_joints_is_calibrated(tmp_path):
         FileError, match=r"commands.csv:4:5: .*joint 4 follows joint 2, and is 0.01 rad off -0.8 times it \+0.1"
     ):
         rig.load(rec)
+
+
+def test_stated_values_of_followers_are_those_of_the_coupling():
+    q, frames = np.zeros((2, 6)), np.array([3, 4])
+    q[:, [2, 4]] = [0.1, -0.2]
+    assert len(ArmKinematics(ARM).forward(frames, q)["frames"]) == 2
+    q[1, 2] = 0.3
+    with pytest.raises(RigError, match="frame 4: joint 3 follows another .* at 0.1 rad, not at 0.3"):
+        ArmKinematics(ARM).forward(frames, q)
