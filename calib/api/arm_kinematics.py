@@ -60,7 +60,7 @@ class ArmKinematics:
         for i, j in np.argwhere(np.abs(followed - q) > FOLLOWS)[:1]:
             raise RigError(
                 f"frame {frames[i]}: {mechanisms.axis_place_texts(arm)[j]} follows another by [[mechanism.coupling]], "
-                f"which has it at {followed[i, j]:.9g} {mechanisms.axis_units(arm)[j]}, not at {q[i, j]:.9g}; state that"
+                f"which has it at {followed[i, j]:.9g} {mechanisms.axis_units(arm)[j]}, not at {q[i, j]:.9g}"
             )
         q = followed
         T = mechanism.forward(q, arm)
