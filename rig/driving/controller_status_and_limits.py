@@ -21,6 +21,12 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_s
 SLACK = 1e-3  # share by which figures may differ, as controllers print them rounded
 EDGE = 1e-5  # m by which a goal may pass a travel's end, for the same reason
 INI_UNITS = {"mm": 1e-3, "metric": 1e-3, "cm": 1e-2, "inch": 0.0254, "in": 0.0254, "imperial": 0.0254}  # m
+INI_ANGLES = {  # rad
+    **dict.fromkeys(("deg", "degree"), np.pi / 180),
+    **dict.fromkeys(("rad", "radian"), 1.0),
+    **dict.fromkeys(("grad", "gon"), np.pi / 200),
+}
+INI_TYPES = {"m": "LINEAR", "rad": "ANGULAR"}  # of joints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,10 +123,10 @@ def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: F
 
 
 def limits_of_linuxcnc_ini(path: Path, axis_units: Sequence[str]) -> ControllerLimits:
-    """Limits of the joints 0 .. n - 1 in a LinuxCNC .ini file, which states angles in degrees.
+    """Limits of the joints 0 .. n - 1 in a LinuxCNC .ini file, in its units; angles are in degrees where it names none.
 
     axis_units : "m" or "rad" of each
-    Raises FileError for one that cannot be read.
+    Raises FileError for one that cannot be read, and for a joint whose TYPE is the other.
     """
     sections: dict[str, dict[str, str]] = {}
     entries: dict[str, str] = {}
@@ -131,10 +137,21 @@ def limits_of_linuxcnc_ini(path: Path, axis_units: Sequence[str]) -> ControllerL
         elif "=" in text:
             name, _, value = text.partition("=")
             entries.setdefault(name.strip().upper(), value.strip())  # of several, LinuxCNC takes the first
-    word = sections.get("TRAJ", {}).get("LINEAR_UNITS", "mm").lower()
-    if word not in INI_UNITS:
-        raise FileError(path, f"[TRAJ] LINEAR_UNITS = {word!r} is none of {', '.join(INI_UNITS)}")
-    scales = [INI_UNITS[word] if unit == "m" else 1 / SHOWN["rad"][0] for unit in axis_units]
+
+    def unit_size(name: str, default: str, known: dict[str, float]) -> float:
+        word = sections.get("TRAJ", {}).get(name, default).lower()
+        if word not in known:
+            raise FileError(path, f"[TRAJ] {name} = {word!r} is none of {', '.join(known)}")
+        return known[word]
+
+    sizes = {"m": unit_size("LINEAR_UNITS", "mm", INI_UNITS), "rad": unit_size("ANGULAR_UNITS", "degree", INI_ANGLES)}
+    scales = [sizes[unit] for unit in axis_units]
+    for joint, unit in enumerate(axis_units):
+        stated = sections.get(f"JOINT_{joint}", {}).get("TYPE", INI_TYPES[unit])
+        if stated.upper() != INI_TYPES[unit]:
+            raise FileError(
+                path, f"[JOINT_{joint}] TYPE = {stated}, but the rig.toml's axis {joint + 1} counts in {unit}"
+            )
 
     def figures(name: str) -> Floats:
         found = []

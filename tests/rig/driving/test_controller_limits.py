@@ -81,6 +81,18 @@ def test_linuxcnc_limits_come_from_its_ini(driven_design, tmp_path):
         driver.limits()
 
 
+@pytest.mark.parametrize("word, size", [("radian", 1.0), ("gon", np.pi / 200), ("degree", np.pi / 180)])
+def test_angles_of_an_ini_are_in_its_units(tmp_path, word, size):
+    path = tmp_path / "machine.ini"
+    path.write_text(INI.replace("[JOINT_0]", f"ANGULAR_UNITS = {word}\n[JOINT_0]\nTYPE = ANGULAR"))
+    np.testing.assert_allclose(limits_of_linuxcnc_ini(path, ["rad"]).travel[0], [-20 * size, 20 * size])
+    with pytest.raises(FileError, match=r"\[JOINT_0\] TYPE = ANGULAR, but the rig.toml's axis 1 counts in m"):
+        limits_of_linuxcnc_ini(path, ["m"])
+    path.write_text(path.read_text().replace(word, "turns"))
+    with pytest.raises(FileError, match="ANGULAR_UNITS = 'turns' is none of deg, degree, rad"):
+        limits_of_linuxcnc_ini(path, ["rad"])
+
+
 def test_a_plan_beyond_the_controllers_travel_is_refused_at_the_dry_run_and_at_the_start(tmp_path, capsys):
     from rig.cli.command_line import main
 
