@@ -136,9 +136,10 @@ def posture_sweep(arm: Arm, options: PostureOptions, step: float) -> PostureSwee
     """PostureSweep of an arm, as `rig arm posture --sweep` makes it, through the start or a solution of a pose.
 
     options : T_base_hand, fixed and start count; step : rad, of slides m, of the fastest joint
-    Raises RigError for what is of a search, for a hand that is elsewhere than stated, and what the sweep raises;
-        Unreachable for a pose that no joint values give
+    Raises RigError for coupled joints, for what is of a search, for a hand that is elsewhere than stated, and what the
+        sweep raises; Unreachable for a pose that no joint values give
     """
+    require_no_couplings(arm, "postures are swept")
     start, wanted = options.start, options.T_base_hand
     search = (options.recording, options.above, options.exertion, options.objective.directions or None)
     if wanted is None or options.during_hand_motion or any(one is not None for one in search):
