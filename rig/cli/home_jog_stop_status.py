@@ -20,8 +20,9 @@ from rig.errors import PositionLost, RigError
 from rig.formats.numbers_and_units import parse_quantity, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.array_and_json_types import Floats
+    from rig.array_and_json_types import Booleans, Floats
     from rig.driving.controller_address_and_urgent_stop import UrgentStop
+    from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 
 
 def arguments_of_home(parser: ArgumentParser) -> None:
@@ -106,7 +107,9 @@ def run_jog(arguments: Namespace) -> None:
             raise PositionLost(
                 "the position of the struts is not known, and so not their remaining travel; home them, or use --trust"
             )
-        driver.move(goal if arguments.to else driver.lengths() + goal, arguments.speed)
+        if arguments.by:
+            goal = _jog_goal(driver.lengths() + goal, moves & bool(arguments.strut), driver.mechanism)
+        driver.move(goal, arguments.speed)
         print_status(driver.status(), design)
 
 
@@ -123,6 +126,15 @@ def _values(option: str, texts: list[str], units: tuple[str, ...]) -> Floats:
     if len(texts) != len(units) or not np.isfinite(values).all():
         raise RigError(f"{option} takes {len(units)} values separated by commas, got {','.join(texts)!r}")
     return values
+
+
+def _jog_goal(goal: Floats, is_named: Booleans, mechanism: Commanded) -> Floats:
+    """Goal (axes,) m or rad with joints that follow others as their leaders have them, but those (axes,) named."""
+    import numpy as np
+
+    from rig.model.mechanisms import with_followers
+
+    return np.where(is_named, goal, with_followers(goal, mechanism))
 
 
 PATIENCE = 10.0  # s for a process that drives to let go

@@ -12,11 +12,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text, values_text
+from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text, value_text, values_text
 from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import COUPLED
 from rig.model.design import Controller
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Parallel, has_struts, is_parallel
 
@@ -95,7 +96,7 @@ def require_lengths_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
     """Require values (n,) m or rad within the axes' ranges, and return them.
 
     Raises ValueError for another number of values or for what is not finite, Unreachable naming each axis beyond
-    its range.
+    its range, and each joint that is not where its leader has it.
     """
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
@@ -111,6 +112,17 @@ def require_lengths_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
             lines.append(f"{places[i]}: {lengths[i] * scale:.3f} {name} is outside {low:.6g} .. {high:.6g} {name}")
         what = "lengths" if has_struts(mechanism) else "values"
         raise Unreachable(f"not moved: the {what} are beyond what the {axes_word(mechanism)} reach", [0], lines)
+    led = mechanisms.with_followers(lengths, mechanism)
+    if apart := np.flatnonzero(np.abs(led - lengths) > COUPLED).tolist():
+        places, units = mechanisms.axis_place_texts(mechanism), mechanisms.axis_units(mechanism)
+        raise Unreachable(
+            "not moved: joints that follow others ([[mechanism.coupling]]) are not where their leaders have them",
+            [0],
+            [
+                f"{places[i]}: {value_text(lengths[i], units[i])}, its leader has it at {value_text(led[i], units[i])}"
+                for i in apart
+            ],
+        )
     return lengths
 
 

@@ -63,6 +63,9 @@ class Coupling:
     offset: float
 
 
+COUPLED = 1e-3  # m or rad, by which a follower's value may miss its leader's
+
+
 def coupling_matrix(count: int, couplings: tuple[Coupling, ...]) -> Floats:
     """Matrix (n, n) of joints' motion by commanded motion: the identity, but a follower's row, which is its leader's.
 

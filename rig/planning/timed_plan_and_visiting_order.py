@@ -25,7 +25,8 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import COLUMN, QUARTERS, find_cube
-from rig.recording.recording_folder import PAYLOAD, Commands
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
+from rig.recording.recording_folder import PAYLOAD, Commands, require_followers_as_leaders_have_them
 from rig.recording.recording_tables import write_table
 
 TRIED = 64  # exchanges of two configurations that are compared at once
@@ -333,7 +334,7 @@ def _cubes(rows: csv_and_parquet_tables_and_time_origin.Table, design: Design) -
 def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Table, design: Design) -> Floats:
     """Commands (n, axes) m or rad of a table, required in range.
 
-    Raises FileError with the line of one that is not.
+    Raises FileError with the line of one that is not, and of a joint that is not where its leader has it.
     """
     values = table.matrix(design.mechanism.axes)
     if len(table) > MOST * ROWS:
@@ -342,6 +343,8 @@ def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Tabl
     for i in np.flatnonzero(beyond.any(axis=1)):
         axis = mechanisms.axis_place_texts(design.mechanism)[np.flatnonzero(beyond[i])[0]]
         table.fail(f"{axis} is commanded out of its range", i)
+    if has_links(design.mechanism):
+        require_followers_as_leaders_have_them(table, values, design.mechanism)
     return values
 
 

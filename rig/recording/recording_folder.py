@@ -18,7 +18,7 @@ from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import require_complete_folder, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import hand_names
+from rig.model.arm_hands_effect_places_and_tolerances import COUPLED, hand_names
 from rig.model.base_and_link_tilt_sensors import (
     GRAVITY,
     BaseTilt,
@@ -317,9 +317,6 @@ def require_followers_as_leaders_have_them(rows: Table, values: Floats, arm: Arm
             i,
             arm.axes[j],
         )
-
-
-COUPLED = 1e-3  # m or rad, by which a follower's value may miss its leader's
 
 
 def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | None:

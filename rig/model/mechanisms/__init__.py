@@ -10,6 +10,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     axis_units,
     kinematics_of,
     travel_unit,
+    with_followers,
 )
 from rig.model.user_kinematics_file import Axis, Parameter
 
@@ -23,4 +24,5 @@ __all__ = [
     "axis_places",
     "travel_unit",
     "axis_units",
+    "with_followers",
 ]

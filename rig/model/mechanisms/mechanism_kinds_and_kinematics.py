@@ -303,6 +303,17 @@ def axis_units(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(AXIS_UNITS[word] for word in mechanism.axis_words)
 
 
+def with_followers(values: Floats, mechanism: Commanded) -> Floats:
+    """Commanded values (..., axes) m or rad with those of joints that follow others as their leaders have them."""
+    out, at = np.array(values, float), 0
+    for stage in mechanism.stages:
+        if has_links(stage):
+            own = slice(at, at + len(stage.axes))
+            out[..., own] = stage.with_followers(out[..., own])
+        at += len(stage.axes)
+    return out
+
+
 def parameter_names(mechanism: Parallel) -> tuple[str, ...]:
     """Names of the geometric parameters of a parallel mechanism, in order."""
     if isinstance(mechanism, FileMechanism):

@@ -13,7 +13,8 @@ from rig.model.arm_hands_effect_places_and_tolerances import Coupling
 from rig.model.mechanisms import arm as serial
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import evenly_spread_configurations
-from rig.posture.best_posture import PostureOptions, best_posture
+from rig.planning.plan import build_plan
+from rig.posture.best_posture import PostureOptions, best_posture, posture_sweep
 from tests.cli import run
 from tests.rig.arms import UR10
 
@@ -99,9 +100,20 @@ def test_what_takes_joints_one_by_one_is_refused(tmp_path):
     with pytest.raises(RigError, match="searched for arms whose joints all move alone; joint 4 follows joint 2"):
         arm = rig.load_design(tmp_path / "rig.toml").mechanism
         best_posture(arm, PostureOptions(serial.forward(np.zeros(5), arm)))
+    with pytest.raises(RigError, match="swept for arms whose joints all move alone"):
+        posture_sweep(arm, PostureOptions(serial.forward(np.zeros(5), arm)), 0.1)
     (tmp_path / "bad.toml").write_text(TOML.replace("leader = 2", "leader = 9"))
     with pytest.raises(RigError, match="there is no joint 9, the arm has 5"):
         rig.load_design(tmp_path / "bad.toml")
+
+
+@pytest.mark.parametrize("time", [False, True])
+def test_a_plan_of_commands_that_leaders_do_not_have_is_refused(tmp_path, time):
+    (tmp_path / "rig.toml").write_text(TOML)
+    table = tmp_path / "commands.csv"
+    table.write_text(f"frame,{'t,' * time}q1,q2,q3,q4,q5\n" + f"0,{'0,' * time}0,0,0,0.2,0\n")
+    with pytest.raises(FileError, match="joint 4 follows joint 2, and is 0.1 rad off"):
+        build_plan(rig.load_design(tmp_path / "rig.toml"), f"commands:{table}")
 
 
 @pytest.mark.slow
