@@ -26,6 +26,8 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.correct import CorrectionResult, CorrectOptions, correct, rms_and_greatest_uncertainty
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import require_reachable
+from calib.files.mechanism_and_physics_entries import mechanism_dict
+from calib.models.additional_correction_pass import mechanism_placed_as_calibrated
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.array_and_json_types import Floats, Json
@@ -34,6 +36,7 @@ from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.driving.strut_driver import Driver
 from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
 from rig.model.design import Design
@@ -158,30 +161,44 @@ def plan_pose_move(
     return PoseMove(design, calibration, wanted, found.values[0], uncorrected, covariance=covariance)
 
 
+OF_NO_POSE = (
+    "limits",
+    "strut_range",
+    "strut_zeros",
+    "home",
+    "file",
+)  # what changes no pose, or is where machines differ
+SAME = 1e-6  # m or rad, by which stated figures may differ
+
+
 def require_same_rig(
     design: Design, calibration: Calibration, design_path: Path | str, calibration_path: Path | str
 ) -> None:
-    """Raise RigError where a calibration is of another rig than a design.
+    """Raise RigError where a calibration is of another rig than a design, or for an arm of several hands.
 
-    The paths, or names, are for the message.
+    Ends of an arm that are stated free stand where the calibration has them. The paths, or names, are for the message.
     """
-    nominal, mechanism = calibration.correction.nominal, require_axes(design.mechanism)
-    stages = [(one, another) for one, another in zip(nominal.stages, mechanism.stages)]
-    if (
-        (nominal.kind, nominal.axes, *nominal.files.values())
-        != (mechanism.kind, mechanism.axes, *mechanism.files.values())
-        or [one.kind for one, _ in stages] != [another.kind for _, another in stages]
-        or not all(
-            figures.shape == another.geometry_arrays[name].shape
-            and np.allclose(figures, another.geometry_arrays[name], rtol=0, atol=1e-6)
-            for one, another in stages
-            for name, figures in one.geometry_arrays.items()
-            if name != "strut_zeros"
+    require_one_hand(design.mechanism, "a pose is gone to")
+    known = calibration.correction.nominal
+    stated = mechanism_placed_as_calibrated(require_axes(design.mechanism), known, design.instrument)
+    if difference := _difference(mechanism_dict(known), mechanism_dict(stated), "mechanism"):
+        raise RigError(f"{calibration_path} is a calibration of another rig than {design_path}: {difference}")
+
+
+def _difference(known: object, stated: object, place: str) -> str:
+    """What differs first between JSON of a calibration's mechanism and of a rig.toml's; "" where nothing does."""
+    if isinstance(known, dict) and isinstance(stated, dict):
+        names = [name for name in {**known, **stated} if name not in OF_NO_POSE]
+        parts = [(known.get(name), stated.get(name), f"{place}.{name}") for name in names]
+    elif isinstance(known, list) and isinstance(stated, list) and len(known) == len(stated):
+        parts = [(one, another, f"{place}[{i}]") for i, (one, another) in enumerate(zip(known, stated), 1)]
+    elif isinstance(known, float | int) and isinstance(stated, float | int):
+        return "" if abs(known - stated) <= SAME else f"{place} is {stated:.9g} there, and {known:.9g} as calibrated"
+    else:
+        return (
+            "" if known == stated else f"{place} is {short_repr(stated)} there, and {short_repr(known)} as calibrated"
         )
-    ):
-        raise RigError(
-            f"{calibration_path} is a calibration of another rig than {design_path}: their stated joints differ"
-        )
+    return next(filter(None, (_difference(*part) for part in parts)), "")
 
 
 def _as_batch(T: RigidTransform) -> RigidTransform:

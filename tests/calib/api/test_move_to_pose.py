@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from calib.api.correction_server_and_move_to_pose import plan_pose_move, require_same_rig
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
@@ -14,9 +15,13 @@ from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms
+from rig.model.arm_hands_effect_places_and_tolerances import Coupling
+from rig.model.design import Instrument
+from rig.model.mechanism_geometry_classes import Chain
 from rig.model.pose import pose_difference
 from tests.conftest import ROOT
 from tests.gantry_and_hexapod import written
+from tests.rig.arms import UR10
 
 
 @pytest.fixture(params=["chain", "file"])
@@ -65,3 +70,21 @@ def test_a_calibration_of_another_machine_is_refused(driven, design):
     for other in others:
         with pytest.raises(RigError, match="of another rig"):
             require_same_rig(other, known, "rig.toml", "calibration.json")
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+def test_a_calibration_of_an_arm_with_another_tool_is_refused(design, stacked):
+    calibrated, longer = UR10, UR10.with_ends(tool=RigidTransform.from_translation([0, 0, 0.1]))
+    coupled = replace(UR10, couplings=(Coupling(2, 1, -0.8, 0.1),))
+    if stacked:
+        calibrated, longer, coupled = (Chain((one, UR10)) for one in (calibrated, longer, coupled))
+    known = Calibration(Correction(calibrated, calibrated, (None,) * 6), *[None] * 6)
+    for other, says in ((longer, r"tool\S* is 0.1 there, and 0 as calibrated"), (coupled, "coupling is .*leader")):
+        with pytest.raises(RigError, match=f"of another rig than rig.toml: mechanism.{'stages.1..' * stacked}{says}"):
+            require_same_rig(replace(design, mechanism=other), known, "rig.toml", "calibration.json")
+    free = replace(design.instrument, tool="free") if design.instrument else Instrument("rig", "free", 1e-6, 1e-6)
+    if not stacked:
+        require_same_rig(replace(design, mechanism=longer, instrument=free), known, "rig.toml", "calibration.json")
+        base = longer.with_ends(base=RigidTransform.from_translation([0.1, 0, 0]))
+        with pytest.raises(RigError, match="mechanism.base"):
+            require_same_rig(replace(design, mechanism=base, instrument=free), known, "rig.toml", "calibration.json")
