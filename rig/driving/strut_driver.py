@@ -102,7 +102,8 @@ class Driver:
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
         within = not mechanisms.kinematics_of(self.mechanism).signed_limit_excess(self._left, self.mechanism).any()
-        self._known = bool(state.homed) or (not self.controller.homing and within and state.activity != "alarm")
+        homed = bool(state.homed)
+        self._known = homed if self.controller.homing else within and (homed or state.activity != "alarm")
         return self._status(state)
 
     def close(self) -> None:
