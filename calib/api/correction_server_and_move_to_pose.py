@@ -161,13 +161,7 @@ def plan_pose_move(
     return PoseMove(design, calibration, wanted, found.values[0], uncorrected, covariance=covariance)
 
 
-OF_NO_POSE = (
-    "limits",
-    "strut_range",
-    "strut_zeros",
-    "home",
-    "file",
-)  # what changes no pose, or is where machines differ
+NOT_COMPARED = ("limits", "strut_range", "strut_zeros", "home", "file")  # what is not of the geometry, and zeros
 SAME = 1e-6  # m or rad, by which stated figures may differ
 
 
@@ -188,7 +182,7 @@ def require_same_rig(
 def _difference(known: object, stated: object, place: str) -> str:
     """What differs first between JSON of a calibration's mechanism and of a rig.toml's; "" where nothing does."""
     if isinstance(known, dict) and isinstance(stated, dict):
-        names = [name for name in {**known, **stated} if name not in OF_NO_POSE]
+        names = [name for name in {**known, **stated} if name not in NOT_COMPARED]
         parts = [(known.get(name), stated.get(name), f"{place}.{name}") for name in names]
     elif isinstance(known, list) and isinstance(stated, list) and len(known) == len(stated):
         parts = [(one, another, f"{place}[{i}]") for i, (one, another) in enumerate(zip(known, stated), 1)]

@@ -25,6 +25,7 @@ from rig.errors import ControllerFault
 
 JOINTS = 6
 HOME_SHARE = 0.25  # of the greatest speed, on the way home
+NOISE = 1e-6  # rad; a shorter way is none
 STARTS = 0.5  # s within which a robot begins what it was sent
 RUNNING, NORMAL, REDUCED, PROTECTIVE_STOP = 7, 1, 2, 3
 STOPPED, PLAYING, PAUSED = 1, 2, 4
@@ -100,12 +101,14 @@ class URScript(LineProtocol):
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         verdict = yield from super().move(segment)
-        for _ in range(int(STARTS / POLL) if verdict.accepted else 0):
+        travel, tolerance = float(np.abs(segment.target - segment.start).max()), self.controller.tolerance
+        for _ in range(int(STARTS / POLL) if verdict.accepted and travel > NOISE else 0):
             now = yield from self.state()
-            if now.activity != "idle" or np.abs(cast(Floats, now.positions) - segment.start).max() > 1e-6:
+            moved = float(np.abs(cast(Floats, now.positions) - segment.start).max())
+            if now.activity != "idle" or moved > min(tolerance, travel / 2):
                 return verdict
             yield from pause_dialogue()
-        if not verdict.accepted:
+        if not verdict.accepted or travel <= tolerance:
             return verdict
         return Verdict(None, "the robot did not begin it: it takes scripts in remote control alone")
 

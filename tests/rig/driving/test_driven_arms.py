@@ -5,6 +5,7 @@ import re
 import socket
 import subprocess
 import threading
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -17,7 +18,7 @@ from rig.driving.emulators import controller_emulator_opening_and_ports as openi
 from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
 from rig.driving.emulators.emulated_axes_and_faults import Faults
 from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
-from rig.errors import FileError, Unreachable
+from rig.errors import FileError, PositionLost, Unreachable
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
@@ -79,6 +80,30 @@ def test_ranges_steps_and_speeds_of_joints_are_checked(tmp_path):
         driver.move(start + np.eye(6)[2] * 0.1, speed=60.0)
     driver.move(start + np.eye(6)[2] * 0.1)
     assert len(emulator.machine.executed) == 1
+
+
+def ur10_driver(tmp_path, **controller):
+    design = load_design(written(tmp_path, "ur10", 'protocol = "urscript"\nport = "none"\n'))
+    return emulated_driver_with_emulator_and_clock(design, "urscript", **controller)
+
+
+@pytest.mark.parametrize(("zero", "known"), [(0.0, True), (7.0, False)])
+def test_absolute_encoders_that_read_beyond_the_limits_are_not_believed(tmp_path, zero, known):
+    driver, _, _ = ur10_driver(tmp_path)
+    driver.controller = replace(driver.controller, zero=np.full(6, zero))
+    assert driver.open().known == known
+    if not known:
+        with pytest.raises(PositionLost, match="--trust"):
+            driver.move(np.zeros(6))
+
+
+@pytest.mark.parametrize(("travel", "longest"), [(0.0, 0.1), (5e-5, 0.7)])
+def test_a_move_to_where_the_arm_stands_is_no_fault(tmp_path, travel, longest):
+    driver, _, clock = ur10_driver(tmp_path)
+    driver.open()
+    begun = clock.now()
+    assert driver.move(driver.lengths() + travel).note == ""
+    assert clock.now() - begun < longest
 
 
 @pytest.mark.parametrize(
