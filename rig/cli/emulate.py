@@ -81,7 +81,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--start",
         metavar="300mm,..",
-        help="initial strut lengths, or values of joints in rad; plain numbers are in m (default: home)",
+        help="initial lengths or angles, one for every axis (plain numbers are in m, of joints in rad; default: home)",
     )
     parser.add_argument(
         "--history",

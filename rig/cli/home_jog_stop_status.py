@@ -17,12 +17,10 @@ from rig.cli.shared.common_options import (
     add_trust_option,
 )
 from rig.errors import PositionLost, RigError
-from rig.formats.numbers_and_units import parse_quantity, parse_whole_number
+from rig.formats.numbers_and_units import parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.array_and_json_types import Booleans, Floats
     from rig.driving.controller_address_and_urgent_stop import UrgentStop
-    from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 
 
 def arguments_of_home(parser: ArgumentParser) -> None:
@@ -84,7 +82,10 @@ def run_jog(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.driving.axis_units_and_distances import MM_AND_DEGREES, parse_axis_values
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
+    from rig.driving.move_profiles_and_path_check import jog_goal
+    from rig.model.mechanisms import axis_units
 
     design = design_with_controller_port(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
@@ -94,10 +95,11 @@ def run_jog(arguments: Namespace) -> None:
     require_share_of_greatest_speed(arguments.speed)
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; omit --strut")
-    units = tuple("rad" if word == "joint" else "m" for word in design.mechanism.axis_words)
-    moves = np.isin(np.arange(1, count + 1), struts)
+    units, moves = axis_units(design.mechanism), np.isin(np.arange(1, count + 1), struts)
+    if arguments.by and len({units[strut - 1] for strut in struts}) > 1:
+        raise RigError("--by is one length or one angle, and these axes are slides and joints: name some by --strut")
     texts = arguments.to.split(",") if arguments.to else [arguments.by if one else "0" for one in moves]
-    goal = _values("--to" if arguments.to else "--by", texts, units)
+    goal = parse_axis_values("--to" if arguments.to else "--by", texts, units, MM_AND_DEGREES)
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock:
             driver.unlock()
@@ -108,33 +110,9 @@ def run_jog(arguments: Namespace) -> None:
                 "the position of the struts is not known, and so not their remaining travel; home them, or use --trust"
             )
         if arguments.by:
-            goal = _jog_goal(driver.lengths() + goal, moves & bool(arguments.strut), driver.mechanism)
+            goal = jog_goal(driver.lengths() + goal, moves & bool(arguments.strut), driver.mechanism)
         driver.move(goal, arguments.speed)
         print_status(driver.status(), design)
-
-
-def _values(option: str, texts: list[str], units: tuple[str, ...]) -> Floats:
-    """(axes,) m or rad of texts, in mm or degrees where they have no unit. units : of the axes. Raises RigError."""
-    import numpy as np
-
-    wanted = "lengths (um, mm, m) of struts and slides, angles (mrad, deg, rad) of joints"
-    plain = {"m": 1e3, "rad": 180 / np.pi}
-    try:
-        values = np.array([parse_quantity(text, unit, plain[unit]) for text, unit in zip(texts, units)])
-    except ValueError as error:
-        raise RigError(f"{option} takes {wanted}: {error}") from None
-    if len(texts) != len(units) or not np.isfinite(values).all():
-        raise RigError(f"{option} takes {len(units)} values separated by commas, got {','.join(texts)!r}")
-    return values
-
-
-def _jog_goal(goal: Floats, is_named: Booleans, mechanism: Commanded) -> Floats:
-    """Goal (axes,) m or rad with joints that follow others as their leaders have them, but those (axes,) named."""
-    import numpy as np
-
-    from rig.model.mechanisms import with_followers
-
-    return np.where(is_named, goal, with_followers(goal, mechanism))
 
 
 PATIENCE = 10.0  # s for a process that drives to let go

@@ -1,14 +1,34 @@
 """Units in which axes are shown and controllers count them: mm of struts and slides, degrees of joints."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.errors import RigError
+from rig.formats.numbers_and_units import parse_quantity
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 
 SHOWN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}  # {unit: (how many make one, name)}
+
+MM_AND_DEGREES = {unit: scale for unit, (scale, _) in SHOWN.items()}  # {unit: how many make one}
+
+
+def parse_axis_values(option: str, texts: Sequence[str], units: Sequence[str], plain: Mapping[str, float]) -> Floats:
+    """Values (axes,) m or rad of an option's texts, one for each axis.
+
+    units : "m" or "rad" of the axes; plain : {unit: how many make one} of numbers without a unit
+    Raises RigError for another number of texts, and for what is no length or angle.
+    """
+    try:
+        values = np.array([parse_quantity(text, unit, plain[unit]) for text, unit in zip(texts, units)])
+    except ValueError as error:
+        wanted = "lengths (um, mm, m) of struts and slides, angles (mrad, deg, rad) of joints"
+        raise RigError(f"{option} takes {wanted}: {error}") from None
+    if len(texts) != len(units) or not np.isfinite(values).all():
+        raise RigError(f"{option} takes {len(units)} values separated by commas, got {','.join(texts)!r}")
+    return values
 
 
 def counts_per_unit(units: Sequence[str], per_metre: float = 1e3) -> Floats:

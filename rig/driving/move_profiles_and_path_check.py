@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Booleans, Floats
 from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text, value_text, values_text
 from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
@@ -124,6 +124,11 @@ def require_lengths_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
             ],
         )
     return lengths
+
+
+def jog_goal(goal: Floats, is_named: Booleans, mechanism: Commanded) -> Floats:
+    """Goal (axes,) m or rad with joints that follow others as their leaders have them, except axes (axes,) named."""
+    return np.where(is_named, goal, mechanisms.with_followers(goal, mechanism))
 
 
 def require_safe_path(

@@ -6,7 +6,7 @@ From the rig's design; it answers at a terminal or over TCP.
 import os
 import select
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import axes_word
+from rig.driving.axis_units_and_distances import axes_word, parse_axis_values
 from rig.driving.clock import Clock, SimulatedClock
 from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes, parse_faults
 from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
@@ -29,20 +29,21 @@ from rig.driving.emulators.newport_hxp import NewportHexapod
 from rig.driving.emulators.urscript import RealTimeServer, UniversalRobot
 from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
-from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, require_axes, require_hexapod
 from rig.model.protocol_and_port_names import TAKE_POSES, is_user_file_or_package
 
+SI = {"m": 1.0, "rad": 1.0}
 ACCELERATION = 0.1  # m/s^2 or rad/s^2, where the rig.toml states none
 
 
 @dataclass(frozen=True, slots=True)
 class EmulatorOptions:
-    """protocol : None as the rig.toml states; faults : texts KIND[:RATE]; seed : of the faults; start : strut lengths
-    at first, m, as a text separated by commas, or None; speed : factor on the struts' speed
+    """protocol : None as the rig.toml states; faults : texts KIND[:RATE]; seed : of the faults; start : values of the
+    axes at first, m or rad where they have no unit, as a text separated by commas, or None; speed : factor on the
+    axes' speed
     Raises RigError for a speed that is not above 0
     """
 
@@ -56,16 +57,9 @@ class EmulatorOptions:
         if not self.speed > 0:
             raise RigError(f"--speed must be above 0, not {self.speed:g}")
 
-    def start_lengths(self) -> Floats | None:
-        """(n,) m, None where none are stated. Raises RigError for a text that is no numbers."""
-        if not self.start:
-            return None
-        try:
-            return np.array([parse_quantity(word, "m") for word in self.start.split(",")])
-        except ValueError:
-            raise RigError(
-                f"--start takes lengths separated by commas, with their unit or in m, not {self.start!r}"
-            ) from None
+    def start_values(self, units: Sequence[str]) -> Floats | None:
+        """(n,) m or rad, None where none are stated. units : of the axes. Raises RigError for a text of no such values."""
+        return parse_axis_values("--start", self.start.split(","), units, SI) if self.start else None
 
 
 def emulator_of_rig_toml_controller(path: Path, options: EmulatorOptions, clock: Clock) -> Emulator:
@@ -80,7 +74,8 @@ def emulator_of_rig_toml_controller(path: Path, options: EmulatorOptions, clock:
     if options.protocol:
         design = replace(design, controller=replace(design.controller, protocol=options.protocol))
     faults = Faults(sum((parse_faults(text) for text in options.faults), ()), np.random.default_rng(options.seed))
-    return emulator_of_design(design, faults, clock, options.start_lengths(), options.speed)
+    units = mechanisms.axis_units(design.mechanism)
+    return emulator_of_design(design, faults, clock, options.start_values(units), options.speed)
 
 
 def emulator_of_design(

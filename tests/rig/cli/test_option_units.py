@@ -7,8 +7,8 @@ import pytest
 
 from rig.cli.command_execution import functions_of_command
 from rig.cli.correct import _start
-from rig.cli.home_jog_stop_status import _lengths
 from rig.cli.shared.argument_parser_and_option_values import join_negative_numbers, parse_length_and_angle
+from rig.driving.axis_units_and_distances import MM_AND_DEGREES, parse_axis_values
 from rig.driving.driver_opening_and_settling import parse_settling
 from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorOptions
 from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
@@ -28,6 +28,10 @@ def option(command, *words):
         return getattr(parser.parse_args(given), name.replace("-", "_"))
 
     return parse
+
+
+def jogged(texts, units):
+    return parse_axis_values("--to", texts, units, MM_AND_DEGREES)
 
 
 def board(text):
@@ -52,10 +56,14 @@ QUANTITIES = {
                       (0.25, 0.3)),
     "run --settle": (lambda text: parse_settling(f"limbs:{text}").amount, "20µm", "2e-5", 2e-5),
     "run --in-motion": (option("run", "x", "--plan", "home", "--out", "y", "in-motion"), "3mm/s", "3", 3e-3),
-    "jog --by": (option("jog", "x", "by"), "-0.5mm", "-0.5", -5e-4),
-    "jog --to": (lambda text: _lengths(text, 2), "300mm,0.31m", "300,310", (0.3, 0.31)),
-    "emulate --start": (lambda text: EmulatorOptions(start=text).start_lengths(), "300mm,0.31m", "0.3,0.31",
+    "jog --by": (lambda text: jogged([text], ["m"])[0], "-0.5mm", "-0.5", -5e-4),
+    "jog --to": (lambda text: jogged(text.split(","), ["m", "m"]), "300mm,0.31m", "300,310", (0.3, 0.31)),
+    "jog --to of a joint": (lambda text: jogged(text.split(","), ["m", "rad"]), "300mm,0.5deg", "300,0.5",
+                            (0.3, np.radians(0.5))),
+    "emulate --start": (lambda text: EmulatorOptions(start=text).start_values(["m", "m"]), "300mm,0.31m", "0.3,0.31",
                         (0.3, 0.31)),
+    "emulate --start of a joint": (lambda text: EmulatorOptions(start=text).start_values(["m", "rad"]), "300mm,90deg",
+                                   "0.3,1.5707963267948966", (0.3, np.pi / 2)),
     "correct --start": (lambda text: _start(text, ("m", "rad"), SI), "300mm,2mrad", "0.3,0.002", (0.3, 2e-3)),
     "correct --start --units": (start_in_mm_and_degrees, "0.3m,1rad", f"300,{np.rad2deg(1)}", (0.3, 1)),
     "lens --board": (board, "36mm:18mm", "0.036:0.018", (0.036, 0.018)),

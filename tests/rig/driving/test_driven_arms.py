@@ -120,6 +120,15 @@ def test_controllers_that_do_not_suit_an_arm_are_refused(tmp_path, arm, controll
         load_design(written(tmp_path, arm, controller))
 
 
+def test_a_jog_by_one_figure_is_of_one_unit(tmp_path, capsys):
+    path = written(tmp_path, "stanford", 'protocol = "grblhal"\nport = "socket://127.0.0.1:9"\n')
+    assert command_line.main(["jog", str(path), "--by", "3"]) == 1
+    assert "these axes are slides and joints: name some by --strut" in capsys.readouterr().err
+    for strut in ("1", "3"):
+        assert command_line.main(["jog", str(path), "--by", "3", "--strut", strut]) == 1
+        assert "127.0.0.1:9" in capsys.readouterr().err  # it goes as far as the port
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", MACHINES)
 def test_a_plan_is_run_and_calibrated_and_a_pose_gone_to(tmp_path, protocol, capsys):
