@@ -82,7 +82,7 @@ def run_jog(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.axis_units_and_distances import MM_AND_DEGREES, parse_axis_values
+    from rig.driving.axis_units_and_distances import MM_AND_DEGREES, axes_word, parse_axis_values
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.driving.move_profiles_and_path_check import jog_goal
     from rig.model.mechanisms import axis_units
@@ -94,10 +94,10 @@ def run_jog(arguments: Namespace) -> None:
         raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
     require_share_of_greatest_speed(arguments.speed)
     if arguments.to and arguments.strut:
-        raise RigError("--to states every strut's length; omit --strut")
+        raise RigError("--to states the value of every axis; omit --strut")
     units, moves = axis_units(design.mechanism), np.isin(np.arange(1, count + 1), struts)
     if arguments.by and len({units[strut - 1] for strut in struts}) > 1:
-        raise RigError("--by is one length or one angle, and these axes are slides and joints: name some by --strut")
+        raise RigError("--by is one length or one angle, and these axes count both: name some by --strut")
     texts = arguments.to.split(",") if arguments.to else [arguments.by if one else "0" for one in moves]
     goal = parse_axis_values("--to" if arguments.to else "--by", texts, units, MM_AND_DEGREES)
     with open_driver(design, arguments.trace, print) as driver:
@@ -107,7 +107,8 @@ def run_jog(arguments: Namespace) -> None:
             driver.trust()
         if not driver.status().known:
             raise PositionLost(
-                "the position of the struts is not known, and so not their remaining travel; home them, or use --trust"
+                f"the position of the {axes_word(design.mechanism)} is not known, and so not their remaining travel; "
+                "home them, or use --trust"
             )
         if arguments.by:
             goal = jog_goal(driver.lengths() + goal, moves & bool(arguments.strut), driver.mechanism)

@@ -364,7 +364,8 @@ class RunOperator:
         if off > self.bench.tolerance:
             raise MotionError(
                 f"frame {number} is discarded: {when} its exposure the axes read {off * 1e3:.3f} {self.bench.unit} "
-                f"from where they were to rest ({position.round(6).tolist()}); did something else command them?"
+                f"from where they were to rest (at {(position * 1e3).round(3).tolist()} {self.bench.unit}); did "
+                "something else command them?"
             )
         return position
 

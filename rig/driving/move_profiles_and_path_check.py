@@ -73,10 +73,12 @@ def straight_move_segment(
     return Segment(start - controller.zero, target - controller.zero, duration, travel / duration, acceleration, pose)
 
 
-def speed_fraction_of_move(start: Floats, target: Floats, speed: float, controller: Controller) -> float:
+def speed_fraction_of_move(
+    start: Floats, target: Floats, speed: float, controller: Controller, mechanism: Commanded
+) -> float:
     """Fraction of the greatest speeds at which the axis that moves most has a speed (m/s or rad/s).
 
-    start, target : (n,) m, lengths
+    start, target : (n,) m or rad
     Raises ValueError where an axis would exceed its greatest speed.
     """
     travel = np.abs(target - start)
@@ -84,7 +86,9 @@ def speed_fraction_of_move(start: Floats, target: Floats, speed: float, controll
         return 1.0
     share = float((travel / controller.max_speed).max()) * speed / float(travel.max())
     if not 0 < share <= 1 + 1e-9:
-        raise ValueError(f"{speed:g} exceeds the axes' max_speed {controller.max_speed.tolist()}, m/s or rad/s")
+        stated = value_text(speed, mechanisms.axis_units(mechanism)[int(np.argmax(travel))])
+        greatest = values_text(controller.max_speed, mechanism)
+        raise ValueError(f"{stated} per second exceeds the axes' max_speed, {greatest} per second")
     return min(share, 1.0)
 
 
@@ -100,7 +104,8 @@ def require_lengths_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
     """
     lengths = np.array(lengths, float)
     if lengths.shape != (len(mechanism.axes),) or not np.isfinite(lengths).all():
-        raise ValueError(f"expected {len(mechanism.axes)} finite values, got {lengths.tolist()}")
+        wanted = f"{len(mechanism.axes)} finite values ({mechanisms.travel_unit(mechanism)})"
+        raise ValueError(f"expected {wanted}, got {lengths.tolist()}")
     module = mechanisms.kinematics_of(mechanism)
     beyond = module.signed_limit_excess(lengths, mechanism)
     if beyond.any():

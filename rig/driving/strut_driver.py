@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check, protocols
-from rig.driving.axis_units_and_distances import axes_word, greatest_distance_text
+from rig.driving.axis_units_and_distances import axes_word, greatest_distance_text, values_text
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import (
     ANEW,
@@ -220,7 +220,7 @@ class Driver:
             start = self._ready()
             self.check(target, start)
             if speed is not None:
-                share = speed_fraction_of_move(start, target, speed, self.controller)
+                share = speed_fraction_of_move(start, target, speed, self.controller, self.mechanism)
             if permit is not None:
                 permit()
             begun = self.clock.now()
@@ -394,7 +394,7 @@ class Driver:
         return f"{state.fault or state.activity} ({state.controller_text}){advice}"
 
     def _text(self, values: Floats) -> str:
-        return f"{values.round(6).tolist()} {mechanisms.travel_unit(self.mechanism)}"
+        return values_text(values, self.mechanism)
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

@@ -58,7 +58,7 @@ class EmulatorOptions:
             raise RigError(f"--speed must be above 0, not {self.speed:g}")
 
     def start_values(self, units: Sequence[str]) -> Floats | None:
-        """(n,) m or rad, None where none are stated. units : of the axes. Raises RigError for a text of no such values."""
+        """(n,) m or rad, None where none are stated. units : of the axes. Raises RigError for other texts."""
         return parse_axis_values("--start", self.start.split(","), units, SI) if self.start else None
 
 

@@ -76,8 +76,10 @@ def test_ranges_steps_and_speeds_of_joints_are_checked(tmp_path):
         driver.move(start + np.eye(6)[1] * np.radians(400))
     with pytest.raises(Unreachable, match=r"34\.377 deg, \[controller\] max_step allows 28\.648 deg"):
         driver.move(start + np.eye(6)[2] * 0.6)
-    with pytest.raises(ValueError, match="exceeds the axes' max_speed"):
+    with pytest.raises(ValueError, match=r"3437\.747 deg per second exceeds .* 2864\.7890 deg per"):
         driver.move(start + np.eye(6)[2] * 0.1, speed=60.0)
+    with pytest.raises(ValueError, match=r"expected 6 finite values \(rad\)"):
+        driver.move(start[:5])
     driver.move(start + np.eye(6)[2] * 0.1)
     assert len(emulator.machine.executed) == 1
 
@@ -123,7 +125,7 @@ def test_controllers_that_do_not_suit_an_arm_are_refused(tmp_path, arm, controll
 def test_a_jog_by_one_figure_is_of_one_unit(tmp_path, capsys):
     path = written(tmp_path, "stanford", 'protocol = "grblhal"\nport = "socket://127.0.0.1:9"\n')
     assert command_line.main(["jog", str(path), "--by", "3"]) == 1
-    assert "these axes are slides and joints: name some by --strut" in capsys.readouterr().err
+    assert "these axes count both: name some by --strut" in capsys.readouterr().err
     for strut in ("1", "3"):
         assert command_line.main(["jog", str(path), "--by", "3", "--strut", strut]) == 1
         assert "127.0.0.1:9" in capsys.readouterr().err  # it goes as far as the port
