@@ -5,6 +5,7 @@ Fresh frames with driver timestamps; check of GStreamer pipelines.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import sys
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
 
     from rig.array_and_json_types import Integers
 
-FLUSHED, OF_STREAM = 8, 1000  # frames that may wait in a driver's queue; of a stream, what was read to open it
+FLUSHED = 8  # frames that may wait in a driver's queue
 WAIT = 5.0  # s without a frame after which a camera counts as gone
 OPENING, READING_TIME = 10_000, 5_000  # ms: a pipeline or network camera to open; a network camera to send a frame
 MANUAL = 1  # V4L2_EXPOSURE_MANUAL
@@ -85,11 +86,12 @@ class VideoSource:
         uvc: bool = True,
         settings: CaptureSettings = AS_IT_IS,
         stamped: bool = True,
-        queue: int = FLUSHED,
+        queue: int | None = FLUSHED,
     ) -> None:
         """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it
         takes UVC's controls; settings : of those; stamped : whether its times, where it has any, are of a clock that
-        stamps exposures; queue : frames that may wait. Raises CameraError where the camera does not take a setting.
+        stamps exposures; queue : frames that may wait, None of a stream, of which any number may: WAIT bounds the time
+        to a fresh one. Raises CameraError where the camera does not take a setting.
         """
         import cv2
 
@@ -118,7 +120,8 @@ class VideoSource:
         comes.
         """
         began, last = self._clock.now(), None
-        for _ in range(self._queue + 3):
+        most = None if self._queue is None else self._queue + 3
+        for _ in itertools.repeat(None) if most is None else range(most):
             before = self._clock.now()
             if not self._capture.grab():
                 raise CameraError(f"camera {self.name!r} gives no frame; is it plugged in, and free?")
@@ -129,7 +132,7 @@ class VideoSource:
             if begin >= began:
                 return Frame(self._image(), t, sigma)
         raise CameraError(
-            f"camera {self.name!r} gave {self._queue + 3} frames, none of them known to be exposed after the request"
+            f"camera {self.name!r} gave {most} frames, none of them known to be exposed after the request"
         )
 
     def _time(self, before: float, after: float, last: float | None) -> tuple[float, float, float]:
@@ -308,7 +311,7 @@ def open_network_camera(name: str, url: str, clock: Clock, size: tuple[int, int]
     if not capture.isOpened():
         capture.release()
         raise CameraError(f"camera {name!r}: {_without_password(url)} sends no video; is the address right?")
-    return VideoSource(name, capture, clock, size, uvc=False, stamped=False, queue=OF_STREAM)
+    return VideoSource(name, capture, clock, size, uvc=False, stamped=False, queue=None)
 
 
 def _without_password(url: str) -> str:
