@@ -41,7 +41,7 @@ from calib.correction.interpolation_methods_and_interpolated_correction_summands
 from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap, PoseSpace, pose_coordinates
 from calib.models.arm.certification import CertifiedArm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import joint_jacobian, sample_observations
+from calib.models.arm.error_model_and_observations import sample_observations
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
     evenly_spread_visited_configurations,
     joint_correction_field_samples,
@@ -54,14 +54,14 @@ from calib.models.base_and_tool_displacement_between_recordings import (
 )
 from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_values_and_poses
 from calib.models.chain.configuration_space_correction import chain_correction_field_samples, unfitted_chain
+from calib.models.covariance_parameters import covariance_parameters
 from calib.models.machine_models import corrected_pose_covariance
-from calib.models.platform.identification import Identified, inverse_strut_length_jacobian
+from calib.models.platform.identification import Identified
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms import mechanism_chain
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, is_parallel
 from rig.model.pose import pose_difference
 
@@ -203,7 +203,7 @@ def _share_of_earlier_variance(
         return 1.0
     commands, T = _workspace(samples, done.correction)
     was = float(np.trace(corrected_pose_covariance(previous, T, commands)[:, :3, :3], axis1=1, axis2=2).mean())
-    jacobian = pose_change_with_axes(done.correction.fitted, commands, T)
+    jacobian = covariance_parameters(done.correction.fitted).axis_jacobian(commands, T)
     stated = float(mean_square_pose_errors_of_extension(done.correction, commands, jacobian)[0])
     moved = pose_difference(previous.correction.predict(commands), T)[:, :3]
     held = float(done.left.own(stated, rng)[0])
@@ -219,15 +219,6 @@ def _workspace(samples: Samples, correction: AnyCorrection) -> tuple[Floats, Rig
     if isinstance(correction.nominal, Chain):
         return chain_workspace_values_and_poses(correction, samples.commanded)
     return workspace_samples(correction)
-
-
-def pose_change_with_axes(mechanism: Commanded, commands: Floats, T_base_platform: RigidTransform) -> Floats:
-    """(n, 6, axes) m and rad, change of poses T (n,) with the axes that stand at commands (n, axes)."""
-    if isinstance(mechanism, Arm):
-        return joint_jacobian(commands, mechanism)
-    if isinstance(mechanism, Chain):
-        return mechanism_chain.jacobian(commands, mechanism)
-    return inverse_strut_length_jacobian(T_base_platform, mechanism)
 
 
 def residual_axis_summands(samples: Samples, correction: AnyCorrection) -> FieldSamples:
@@ -250,7 +241,7 @@ def _undone(samples: Samples, correction: AnyCorrection) -> Samples:
 
 def _mean_square_axis_error(field: Field, at: Samples, nominal: Commanded) -> float:
     """m^2, mean square by which a Field of summands says that positions of samples may be off."""
-    J = pose_change_with_axes(nominal, at.commanded, at.T_base_platform)[:, :3]
+    J = covariance_parameters(nominal).axis_jacobian(at.commanded, at.T_base_platform)[:, :3]
     return float((J**2 @ (field.error(at.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 

@@ -13,21 +13,10 @@ from typing import TYPE_CHECKING
 
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
+from rig.model.protocol_and_port_names import PROTOCOLS
 
 if TYPE_CHECKING:
     from synthetic.emulated_cameras import EmulatedCameraProcess
-
-PROTOCOLS = (
-    "grblhal",
-    "gcs",
-    "gcs-hexapod",
-    "hxp",
-    "linuxcnc",
-    "struts",
-    "epics",
-    "epics-hexapod",
-    "urscript",
-)  # as rig.model.design has
 
 
 def arguments(parser: ArgumentParser) -> None:

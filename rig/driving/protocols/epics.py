@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
+from rig.driving.axis_units_and_distances import counts_per_unit
 from rig.driving.controller_address_and_urgent_stop import epics_motor_record_stop_bytes
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
@@ -47,7 +48,7 @@ BITS = {  # of MSTA, that keep a motor from moving
     12: "does not answer its controller",
     13: "at its lower limit switch",
 }
-MM_AND_DEGREES = np.repeat([1e3, 180 / np.pi], 3)  # in m and rad
+MM_AND_DEGREES = counts_per_unit(["m"] * 3 + ["rad"] * 3)
 STILL = 1e-7  # m, rad: a coordinate that changes by less is written, at the speed that its record has
 HOMED = 14  # bit of MSTA
 SEVERITIES = ("no", "minor", "major", "invalid")

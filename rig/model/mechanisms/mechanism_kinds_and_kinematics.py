@@ -98,16 +98,6 @@ def is_redundant(mechanism: Mechanism) -> TypeIs[Hexapod]:
     return is_hexapod(mechanism) and len(mechanism.axes) > 6
 
 
-def require_struts(mechanism: Mechanism) -> Struts:
-    """Require that a mechanism has struts (hexapod or planar), and return it.
-
-    Raises RigError for another kind.
-    """
-    if not has_struts(mechanism):
-        raise RigError(f"this requires a platform on struts, not a mechanism of kind {mechanism.kind!r}")
-    return mechanism
-
-
 def require_parallel(
     mechanism: Mechanism, refusal: str = "this requires a parallel mechanism, not one of kind {kind!r}"
 ) -> Parallel:
