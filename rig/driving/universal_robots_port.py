@@ -20,6 +20,7 @@ import struct
 import threading
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
@@ -27,7 +28,7 @@ from rig.errors import LinkLost
 from rig.model.protocol_and_port_names import USUAL_PORTS
 
 SCHEME = "ur"
-PATIENCE = 2.0  # s to connect
+PATIENCE = 2.0  # s to connect, and until the robot takes what is sent
 MOST_OF_SOCKET = 65536  # bytes of a read
 SIZE = struct.Struct(">i")  # of a packet with itself
 DOUBLES, LONGEST = 132, 8192  # numbers that are read of a packet, in doubles; bytes of one
@@ -69,7 +70,6 @@ class UniversalRobotsPort:
             self._socket = socket.create_connection(address, timeout=PATIENCE)
         except OSError as error:
             raise LinkLost(f"cannot open {url}: {error.strerror or error}") from None
-        self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._news = threading.Condition()
         self._in, self._out, self._lost, self._count = b"", b"", "", 0
@@ -105,6 +105,8 @@ class UniversalRobotsPort:
     def close(self) -> None:
         with self._news:
             self._lost = self._lost or "it was closed"
+        with suppress(OSError):  # where the robot has closed it
+            self._socket.shutdown(socket.SHUT_RDWR)  # ends the wait for a packet
         self._socket.close()
 
     def _receive(self) -> None:
@@ -113,6 +115,8 @@ class UniversalRobotsPort:
         while True:
             try:
                 data, reason = self._socket.recv(MOST_OF_SOCKET), "the robot has closed it"
+            except TimeoutError:
+                continue  # who reads says how long a packet is waited for
             except OSError as error:
                 data, reason = b"", error.strerror or str(error)
             rest += data
