@@ -83,6 +83,7 @@ COMPUTING = (
 NOT_COMPUTING = (
     "calib.certificate",
     "diagnosis_sentences_and_table_rows",
+    "detectable_size_entries_and_table_rows",
     "Options",
     "DIRECTIONS",
     "AXES",
