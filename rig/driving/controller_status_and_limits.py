@@ -178,7 +178,7 @@ def limits_of_linuxcnc_ini(path: Path, axis_units: Sequence[str]) -> ControllerL
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerStatus:
     """activity : as rig.driving.protocols.protocol_interface_and_user_line_protocol.State
-    lengths : (n,) m; known : whether the lengths can be believed; fault, controller_text : text
+    lengths : (n,) m or rad; known : whether the lengths can be believed; fault, controller_text : text
     homing_required : as of a State
     """
 

@@ -190,8 +190,8 @@ def lost_position_reason(
 ) -> str:
     """Reason why a position (axes,) m or rad that is read when a run is resumed counts as lost; "" where it does not.
 
-    tolerance : m, of a read-back; controller_restarted : whether the controller says that it started since it was homed
-    or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by axes that read elsewhere.
+    tolerance : m or rad, of a read-back; controller_restarted : whether the controller says that it started since it was
+    homed or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by axes that read elsewhere.
     unit : name of a thousandth of m or rad
     """
     if progress.lost:
@@ -214,7 +214,7 @@ def interrupted_move_result(
 ) -> tuple[str, bool]:
     """Result of an interrupted move from the position read after a crash.
 
-    tolerance : m, of a read-back; unit : name of a thousandth of m or rad
+    tolerance : m or rad, of a read-back; unit : name of a thousandth of m or rad
     Returns (text, whether the goal is reached)
     """
 

@@ -80,7 +80,7 @@ class Driver:
         self._busy = threading.RLock()
         self._known = False  # whether the lengths can be believed
         self._homed: bool | None = None  # what the controller said of that
-        self._left: Floats | None = None  # (n,) m where the struts were left
+        self._left: Floats | None = None  # (n,) m or rad where the axes were left
 
     def __enter__(self) -> "Driver":
         self.open()
@@ -127,11 +127,13 @@ class Driver:
         return self._protocol.started_anew and not self._homed
 
     def lengths(self) -> Floats:
-        """(n,) m, as read back now."""
+        """(n,) m or rad, as read back now."""
         return self._lengths(self._state())
 
     def limits(self) -> ControllerLimits | None:
-        """Limits that the controller itself has, None where nobody says. Raises LinkLost, NoAnswer, FileError."""
+        """Limits that the controller itself has, in m and rad, None where nobody says. Raises LinkLost, NoAnswer,
+        FileError.
+        """
         if self.controller.ini:
             return limits_of_linuxcnc_ini(Path(self.controller.ini), mechanisms.axis_units(self.mechanism))
         return self._query(self._protocol.limits)
@@ -241,7 +243,7 @@ class Driver:
             return self.status()
 
     def _ready(self) -> Floats:
-        """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
+        """(n,) m or rad from which a move may start. Raises PositionLost, ControllerFault."""
         same, state = self._query(self._protocol.fence), self._state()
         self._known = self._known and same and not (self._homed and state.homed is False)
         if (

@@ -81,12 +81,10 @@ def emulator_of_rig_toml_controller(path: Path, options: EmulatorOptions, clock:
 def emulator_of_design(
     design: Design, faults: Faults, clock: Clock, start_lengths: Floats | None = None, speed_factor: float = 1.0
 ) -> Emulator:
-    """The Emulator of the controller of a rig's design, with faults, clock and start lengths.
+    """The Emulator of the controller of a rig's design, with faults, clock and start values.
 
-    start_lengths : (n,) m, lengths at first, by default those after homing; speed_factor : factor on the struts' speed.
-
-        Raises
-    RigError for a start that the struts cannot have, and for a rig without a controller
+    start_lengths : (n,) m or rad, at first, by default those after homing; speed_factor : factor on the axes' speed
+    Raises RigError for a start that the axes cannot have, and for a rig without a controller
     """
     c = design.controller
     if c is None:

@@ -346,7 +346,7 @@ def solve_inverse(
 
 
 def nearest_equivalent_angles(q: Floats, arm: Arm, reference: Floats) -> Floats:
-    """Equivalent angles (..., n), by whole turns in the limits, nearest to a reference; no slides, none coupled."""
+    """Equivalent angles (..., n), by whole turns in the limits, nearest to a reference; slides, coupled joints stay."""
     if arm.slides.any() or arm.couplings:  # a whole turn of a leader is none of its followers
         out, turning = np.array(arm.with_followers(q), float), ~arm.slides & ~arm.coupled
         near = np.broadcast_to(reference, out.shape)[..., turning]
