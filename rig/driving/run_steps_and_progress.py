@@ -190,9 +190,9 @@ def lost_position_reason(
 ) -> str:
     """Reason why a position (axes,) m or rad that is read when a run is resumed counts as lost; "" where it does not.
 
-    tolerance : m or rad, of a read-back; controller_restarted : whether the controller says that it started since it was
-    homed or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by axes that read elsewhere.
-    unit : name of a thousandth of m or rad
+    tolerance : m or rad, of a read-back; controller_restarted : whether the controller says that it started since
+    it was homed or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by axes that
+    read elsewhere. unit : name of a thousandth of m or rad
     """
     if progress.lost:
         return f"the run ended with the position lost ({progress.lost})"
