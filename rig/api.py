@@ -43,7 +43,7 @@ def load(path: Path | str, skip_unreadable: bool = False, mask: str | None = Non
     >>> len(rig.load("tests/data/bench/check", mask="0-1").exposures.times()[0])
     4
     """
-    from rig.checks.unreadable_recording import unreadable_recording_mistakes
+    from rig.checks.mistakes_that_make_recording_unreadable import unreadable_recording_mistakes
     from rig.recording.frame_selection_and_content_hashes import remove_frames
 
     path = Path(path)
@@ -65,8 +65,8 @@ def save(recording: Recording, folder: Path | str, overwrite: bool = False) -> N
     Raises RigError for several recordings joined to one, and where the folder holds something else
     """
     from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
+    from rig.recording.corner_and_pose_csv_tables import write_corners, write_poses, write_table
     from rig.recording.recording_folder import copy_frames_commands_and_sensors
-    from rig.recording.recording_tables import write_corners, write_poses, write_table
 
     if recording.parts:
         raise RigError(f"{recording.name}: several recordings as one have no folder; save each separately")
@@ -133,7 +133,7 @@ def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfi
     >>> print(rig.plan(design, "sobol:3"))
     3 configurations of sobol:3
     """
-    from rig.driving.run_steps_and_progress import steps_of_plan
+    from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
     from rig.planning.plan import build_plan
 
     mechanism = design.mechanism
@@ -201,8 +201,10 @@ def load_and_check_recording_files(path: Path) -> tuple[Recording | None, CheckR
 
     Returns (Recording, CheckResult)
     """
-    from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
-    from rig.checks.unreadable_recording import unreadable_recording_mistakes
+    from rig.checks.design_value_camera_and_image_mistakes_and_all_file_checks import (
+        mistakes_found_without_looking_at_images,
+    )
+    from rig.checks.mistakes_that_make_recording_unreadable import unreadable_recording_mistakes
 
     try:
         recording = recording_folder.load_recording(path)
@@ -265,7 +267,9 @@ def import_recording(
     Returns what it holds and remarks on it
     Raises RigError for files that cannot be used, and for what is no recording once it is imported
     """
-    from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
+    from rig.checks.design_value_camera_and_image_mistakes_and_all_file_checks import (
+        mistakes_found_without_looking_at_images,
+    )
     from rig.formats import importers
 
     with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:

@@ -21,7 +21,7 @@ ImageBytes = NDArray[np.uint8]  # (height, width) grey levels or (height, width,
 Pixels = NDArray[np.integer | np.floating]  # what OpenCV draws on and gives back
 
 
-def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], name_in_errors: str) -> Floats:
+def read_only_float_array_of_shape(value: ArrayLike, shape: tuple[int | None, ...], name_in_errors: str) -> Floats:
     """Read-only floats of a shape, such as (None, 3) with None for any length.
 
     name_in_errors : its name, in errors. Raises ValueError for another shape and for what is not finite
@@ -40,4 +40,4 @@ def freeze_array(instance: object, name: str, shape: tuple[int | None, ...]) -> 
 
     Raises ValueError otherwise.
     """
-    object.__setattr__(instance, name, frozen_array(getattr(instance, name), shape, name))
+    object.__setattr__(instance, name, read_only_float_array_of_shape(getattr(instance, name), shape, name))

@@ -16,7 +16,7 @@ import numpy as np
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_texts_and_user_effect_files import (
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,
     parse_effect,
     require_existing_place,
@@ -29,7 +29,7 @@ from rig.model.design import Design, Sensor
 from rig.planning.plan import build_plan
 from rig.recording.recording_folder import load_sensors
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from synthetic.image_simulation import simulations_with_and_without_effects_found
 from synthetic.recording_simulation import Simulation
 
@@ -144,10 +144,10 @@ class SimulationResult(OneLineRepr):
         """Write the truth: the machine, its effects and poses, and how noisy the corners are."""
         seed, world, T = self.options.seed, self.simulation.world, self.simulation.run.T_base_platform
         if self.pictures is not None:
-            corners = recording_simulation.truth_corners(self.simulation)
-            secret_machine_and_truth_file.write_truth(Path(path), world, T, seed=seed, corners=corners)
+            corners = recording_simulation.true_corner_rows(self.simulation)
+            random_true_machine_and_truth_file.write_truth(Path(path), world, T, seed=seed, corners=corners)
         else:
-            secret_machine_and_truth_file.write_truth(Path(path), world, T, seed=seed, noise_px=self.options.noise)
+            random_true_machine_and_truth_file.write_truth(Path(path), world, T, seed=seed, noise_px=self.options.noise)
 
 
 def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions()) -> SimulationResult:
@@ -175,10 +175,10 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
         import_pyrender_without_viewer()
     rng = np.random.default_rng(options.seed)
     if options.machine is not None:
-        world = secret_machine_and_truth_file.world_from_truth(options.machine, design, kinds)
+        world = random_true_machine_and_truth_file.world_from_truth(options.machine, design, kinds)
         world = replace(world, effects=world.effects + effects)
     else:
-        world = secret_machine_and_truth_file.draw_machine(design, rng, options.secret, effects)
+        world = random_true_machine_and_truth_file.random_true_machine(design, rng, options.secret, effects)
     plan = build_plan(design, options.plan, options.seed)
     sensors = None if options.sensors is None else load_sensors(options.sensors, plan.origin)
     done = recording_simulation.simulate_world(world, plan, rng, sensors)

@@ -18,9 +18,9 @@ from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.numbers_and_units import parse_whole_number
 from rig.formats.output_files import write_text
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from synthetic import blind_arm_cases, blind_cases
+from synthetic import random_blind_arm_cases_with_truth, random_blind_platform_cases_with_truth
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
-from synthetic.diagnosis_score import Case, campaign_figures, campaign_medians, score_case
+from synthetic.diagnosis_score import Case, campaign_medians, campaign_rates_with_intervals, score_case
 from synthetic.image_simulation import is_renderable
 
 MOST, MOST_FRAMES = 1_000_000, 10_000  # cases of a campaign, frames of a case
@@ -49,8 +49,14 @@ class CampaignOptions:
             raise RigError(f"--season takes 1 to {MOST}, --seed at least 0 and below 2^63")
         if self.arm and self.images:
             raise RigError("--images are of hexapods; an arm's cases are poses: omit --images or --mechanism")
-        usual = blind_cases.IMAGE_FRAMES if self.images else blind_cases.FRAMES
-        frames = (blind_arm_cases.FRAMES if self.arm else usual) if self.frames is None else self.frames
+        usual = (
+            random_blind_platform_cases_with_truth.IMAGE_FRAMES
+            if self.images
+            else random_blind_platform_cases_with_truth.FRAMES
+        )
+        frames = (
+            (random_blind_arm_cases_with_truth.FRAMES if self.arm else usual) if self.frames is None else self.frames
+        )
         if not 40 <= frames <= MOST_FRAMES:
             raise RigError(
                 f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis needs enough poses"
@@ -60,18 +66,22 @@ class CampaignOptions:
 
     def _lists(self) -> dict[str, list[str]]:
         """What cases hide, are drawn from and lack, by name. Raises RigError for what there is not"""
-        kinds = blind_arm_cases.KINDS if self.arm else blind_cases.KINDS
+        kinds = random_blind_arm_cases_with_truth.KINDS if self.arm else random_blind_platform_cases_with_truth.KINDS
         texts = {
             "hide": ",".join(kinds) if self.hide is None else self.hide,
             "effects": self.effects,
             "withhold": self.withhold,
         }
         lists = {name: [part.strip() for part in text.split(",") if part.strip()] for name, text in texts.items()}
-        for name, known in (("hide", kinds), ("effects", BY_NAME), ("withhold", blind_cases.WITHHELD)):
+        for name, known in (
+            ("hide", kinds),
+            ("effects", BY_NAME),
+            ("withhold", random_blind_platform_cases_with_truth.WITHHELD),
+        ):
             for part in lists[name]:
                 if part not in known:
                     raise RigError(f"--{name}: there is no {part!r}; there are {', '.join(known)}")
-        able = blind_cases.IMAGE_KINDS if self.images else kinds
+        able = random_blind_platform_cases_with_truth.IMAGE_KINDS if self.images else kinds
         lists["hide"] = [kind for kind in lists["hide"] if kind in able]
         if not lists["hide"]:
             raise RigError(f"--hide takes some of {', '.join(able)}")
@@ -93,7 +103,7 @@ class CampaignResult(OneLineRepr):
     @property
     def verdict(self) -> Verdict:
         """The verdict on the diagnosis."""
-        return campaign_verdict(campaign_figures(list(self.cases)))
+        return campaign_verdict(campaign_rates_with_intervals(list(self.cases)))
 
     def __str__(self) -> str:
         return self.verdict.line
@@ -109,7 +119,7 @@ class CampaignResult(OneLineRepr):
     def lines(self) -> list[str]:
         """Its figures in words, with intervals."""
         lines = []
-        for f in campaign_figures(list(self.cases)):
+        for f in campaign_rates_with_intervals(list(self.cases)):
             goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
             found = (
                 f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})"

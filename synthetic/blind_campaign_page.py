@@ -35,14 +35,14 @@ def campaign_dict(cases: list[Case]) -> Json:
     Verdict, figures, medians, by_effect, by_strength, confusion, cases.
     """
     return {
-        "verdict": campaign_verdict(diagnosis_score.campaign_figures(cases)).tree(),
-        "figures": [asdict(f) for f in diagnosis_score.campaign_figures(cases)],
+        "verdict": campaign_verdict(diagnosis_score.campaign_rates_with_intervals(cases)).tree(),
+        "figures": [asdict(f) for f in diagnosis_score.campaign_rates_with_intervals(cases)],
         "medians": {
             name: None if math.isnan(value) else value
             for name, value in diagnosis_score.campaign_medians(cases).items()
         },
-        "by_effect": _rows(diagnosis_score.figures_by_effect(cases)),
-        "by_strength": _rows(diagnosis_score.figures_by_strength(cases)),
+        "by_effect": _rows(diagnosis_score.detection_and_naming_shares_by_effect(cases)),
+        "by_strength": _rows(diagnosis_score.detection_and_naming_shares_by_strength(cases)),
         "confusion": diagnosis_score.strong_effect_confusion_table(cases),
         "cases": [
             {
@@ -97,7 +97,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         ),
         table_html(
             ("what", "hits", "of", "share", "interval", "to reach"),
-            [_figure(f) for f in diagnosis_score.campaign_figures(cases)],
+            [_figure(f) for f in diagnosis_score.campaign_rates_with_intervals(cases)],
         ),
         table_html(
             ("median", ""),
@@ -108,9 +108,9 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         ),
         heading_html("By effect"),
         note_html("Strong ones, in cases with one or two."),
-        _grouped(diagnosis_score.figures_by_effect(cases), "effect"),
+        _grouped(diagnosis_score.detection_and_naming_shares_by_effect(cases), "effect"),
         heading_html("By strength"),
-        _grouped(diagnosis_score.figures_by_strength(cases), "signal-to-noise"),
+        _grouped(diagnosis_score.detection_and_naming_shares_by_strength(cases), "signal-to-noise"),
     ]
     if any(c.hidden for c in cases):
         parts.append(
@@ -133,7 +133,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         for c in cases
         if c.failed is None and not _right(c)
     ][:LINKS]
-    verdict = campaign_verdict(diagnosis_score.campaign_figures(cases))
+    verdict = campaign_verdict(diagnosis_score.campaign_rates_with_intervals(cases))
     write_page(
         path,
         Page(

@@ -110,7 +110,7 @@ def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Pie
     return tuple(Piece(tuple(group), tuple(tabs[k]), tuple(folds[k])) for k, group in enumerate(groups))
 
 
-def arrange_net(
+def arrange_cube_net_on_sheets(
     edge: float, upright_area: tuple[float, float], sideways_area: tuple[float, float]
 ) -> tuple[Size, tuple[Sheet, ...]]:
     """Arrangement of a cube's net on the fewest sheets, in the fewest pieces.
@@ -181,7 +181,7 @@ def _axis(name: str) -> Floats:
     return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
 
 
-def cube_stl_files(design: Design, paper_thickness: float) -> dict[str, bytes]:
+def cube_stl_bytes_by_target(design: Design, paper_thickness: float) -> dict[str, bytes]:
     """Binary STL files {target's name: bytes} of the design's cubes.
 
     Smaller by the paper glued around them.
@@ -218,7 +218,7 @@ def usable_area(paper: tuple[float, float]) -> tuple[float, float]:
     return paper[0] - LEFT - MARGIN, paper[1] - FOOT - 2 * MARGIN
 
 
-def cut_line_plot_arguments() -> Json:
+def cut_line_matplotlib_style() -> Json:
     """Line style of a cut line, as matplotlib arguments."""
     return {"color": "black", "lw": 0.5, "ls": "-"}
 
@@ -237,7 +237,7 @@ def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -
         start = (LEFT, MARGIN) if along == 0 else (MARGIN, MARGIN + FOOT)
         _ruler(axes, start, along)
     x, y = LEFT + RULER + 6, MARGIN + 2
-    for text, style in (("cut", cut_line_plot_arguments()), ("fold", fold_line_matplotlib_style())):
+    for text, style in (("cut", cut_line_matplotlib_style()), ("fold", fold_line_matplotlib_style())):
         axes.plot([x, x + 10], [y, y], **style)
         axes.text(x + 11.5, y, text, fontsize=7, va="center")
         x += 21

@@ -215,7 +215,7 @@ def _place(table: Entries, effect: str, other: object) -> str:
     return str(Place("marker", str(min(int(number), int(other)))))
 
 
-def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:
+def do_parameter_intervals_cover_truth(true_effect: Hidden, finding: Found | None) -> list[bool]:
     """Whether each interval of a finding's parameters covers the truth."""
     out: list[bool] = []
     if finding is None or (finding.effect, finding.place) != (true_effect.effect, true_effect.place):
@@ -234,7 +234,7 @@ def interval_coverage(true_effect: Hidden, finding: Found | None) -> list[bool]:
     return out
 
 
-def campaign_figures(cases: list[Case]) -> list[Figure]:
+def campaign_rates_with_intervals(cases: list[Case]) -> list[Figure]:
     """Figures of a campaign's cases.
 
     Rates of detection, naming and placing, in the order of the page.
@@ -245,7 +245,13 @@ def campaign_figures(cases: list[Case]) -> list[Figure]:
     two = [c for c in done if c.kind == "two" and all(h.strength >= STRONG for h in c.hidden)]
     foreign = [c for c in done if c.kind == "foreign" and c.hidden[0].strength >= STRONG]
     noise = [c for c in done if c.kind == "noise"]
-    inside = [flag for c in done for h in c.hidden if h.effect in BY_NAME for flag in interval_coverage(h, c.match(h))]
+    inside = [
+        flag
+        for c in done
+        for h in c.hidden
+        if h.effect in BY_NAME
+        for flag in do_parameter_intervals_cover_truth(h, c.match(h))
+    ]
     return [
         _share_figure("diagnosed without an error", [c.failed is None for c in cases], 1.0),
         _share_figure("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
@@ -297,7 +303,7 @@ def campaign_medians(cases: list[Case]) -> dict[str, float]:
     return {name: float(np.nanmedian(v)) if np.isfinite(v).any() else float("nan") for name, v in columns.items()}
 
 
-def figures_by_effect(cases: list[Case]) -> list[Group]:
+def detection_and_naming_shares_by_effect(cases: list[Case]) -> list[Group]:
     """Shares of strong hidden effects detected, named, placed and covered, by effect.
 
     Returns (effect, [Figure detected, named, placed, covered], {effect found: count})
@@ -305,7 +311,7 @@ def figures_by_effect(cases: list[Case]) -> list[Group]:
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
-def figures_by_strength(cases: list[Case]) -> list[Group]:
+def detection_and_naming_shares_by_strength(cases: list[Case]) -> list[Group]:
     """Figures by strength of the hidden effect, of effects of the catalogue."""
 
     def group(h: Hidden) -> str | None:
@@ -334,7 +340,12 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
                 ),
                 _share_figure(
                     "covered",
-                    [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in interval_coverage(h, f)],
+                    [
+                        flag
+                        for _, h, f in rows[name]
+                        if h.effect in BY_NAME
+                        for flag in do_parameter_intervals_cover_truth(h, f)
+                    ],
                 ),
             ],
             _count(c.seen_as(h) for c, h, _ in rows[name]),
@@ -348,7 +359,7 @@ def strong_effect_confusion_table(cases: list[Case]) -> dict[str, dict[str, int]
 
     Returns {hidden effect: {effect found: count}}
     """
-    out = {name: counts for name, _, counts in figures_by_effect(cases)}
+    out = {name: counts for name, _, counts in detection_and_naming_shares_by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:
             label = c.disturbance or "nothing"

@@ -20,7 +20,7 @@ from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model import motion_simulation
@@ -28,9 +28,9 @@ from rig.model.design import Camera, Sensor
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
-from synthetic import rig_meshes, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, rig_meshes
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender_without_viewer
-from synthetic.marker_drawing_sensor_and_occlusion import expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
@@ -152,7 +152,7 @@ def _prepare() -> None:
     markers = marker_map(design)
     for effect in simulation.world.effects:
         markers = effect.attach(markers)
-    parts = rig_meshes.rig_parts(design, images.background, np.random.default_rng(seed), markers)
+    parts = rig_meshes.rig_and_background_meshes(design, images.background, np.random.default_rng(seed), markers)
     cv2.setNumThreads(1)
     _state.update(design=design, renderer=Renderer(parts, design), exposures=_exposures())
 
@@ -176,7 +176,7 @@ def _exposed(f: int, i: int, sensor: Sensor) -> Floats:
         _picture(_state["design"].cameras[i], i, f, shift, [T[f] for T in stages]) for shift, stages in exposures
     ]
     radiance = sum(pictures[1:], pictures[0]) / np.float32(len(exposures))
-    return expose_image(radiance, sensor, rng, SAMPLES)
+    return simulate_sensor_exposure(radiance, sensor, rng, SAMPLES)
 
 
 def render_image(simulation: Simulation, frame: int, camera: int, images: Images, seed: int) -> Floats:
@@ -288,7 +288,7 @@ def simulations_with_and_without_effects_found(folder: Path, kinds: Kinds = BY_N
     found = recording_folder.load_recording(folder)
     if found.commands is None:
         raise RigError(f"{folder}: there are no commands, so no motion can be simulated")
-    secret = secret_machine_and_truth_file.world_from_truth(path, found.design, kinds)
+    secret = random_true_machine_and_truth_file.world_from_truth(path, found.design, kinds)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
     plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)

@@ -35,7 +35,7 @@ CACHED = 4  # of what the last cameras' optics do; a falloff is as large as a pi
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
-def expose_image(radiance: Floats, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> Floats:
+def simulate_sensor_exposure(radiance: Floats, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> Floats:
     """Image (height, width) uint8 or uint16 exposed by a sensor to a radiance 0..1.
 
     sensor : rig.model.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act

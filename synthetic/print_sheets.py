@@ -18,7 +18,7 @@ from matplotlib.patches import Polygon, Rectangle
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.output_files import write_bytes
-from rig.model.calibration_board import Board
+from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.design import Design, Target
 from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     FOOT,
@@ -29,9 +29,9 @@ from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     Piece,
     Placed,
     Size,
-    arrange_net,
-    cube_stl_files,
-    cut_line_plot_arguments,
+    arrange_cube_net_on_sheets,
+    cube_stl_bytes_by_target,
+    cut_line_matplotlib_style,
     draw_cube_assembly_page,
     draw_rulers_and_legend,
     fold_line_matplotlib_style,
@@ -87,7 +87,7 @@ class PrintSheets:
 
         Raises RigError where there is no cube, or nothing is left of one
         """
-        found = cube_stl_files(self.design, paper_thickness)
+        found = cube_stl_bytes_by_target(self.design, paper_thickness)
         for name, data in found.items():
             write_bytes(folder / f"{name}.stl", data)
         return len(found)
@@ -159,7 +159,7 @@ def _of_net(target: Target, paper: str) -> Iterator[Page]:
         return
     edge, side = target.edge * 1e3, target.marker * 1e3
     try:
-        size, found = arrange_net(edge, usable_area(PAPER[paper]), usable_area(PAPER[paper][::-1]))
+        size, found = arrange_cube_net_on_sheets(edge, usable_area(PAPER[paper]), usable_area(PAPER[paper][::-1]))
     except RigError as error:
         raise RigError(f"target {target.name}: {error}{_larger(edge, paper)}") from None
     for k, sheet in enumerate(found):
@@ -254,7 +254,7 @@ def _piece(axes: Axes, origin: Floats, target: Target, piece: Piece, size: Size)
             elif (face, side) in piece.folds:
                 axes.plot(*zip(a, b), **fold_line_matplotlib_style())
             elif tuple(np.add(NET[face], SIDES[side])) not in {NET[other] for other in piece.faces}:
-                axes.plot(*zip(a, b), **cut_line_plot_arguments())
+                axes.plot(*zip(a, b), **cut_line_matplotlib_style())
 
 
 def _side(corner: Floats, edge: float, side: str) -> tuple[Floats, Floats]:
@@ -268,7 +268,7 @@ def _flap(axes: Axes, a: Floats, b: Floats, out: Floats) -> None:
     inward = np.linalg.norm(out) * (b - a) / np.linalg.norm(b - a)
     ends = [a, a + out + inward, b + out - inward, b]
     axes.add_patch(Polygon(ends, closed=True, fc="0.93", ec="none", zorder=0.5))
-    axes.plot(*zip(*ends), **cut_line_plot_arguments())
+    axes.plot(*zip(*ends), **cut_line_matplotlib_style())
     axes.plot(*zip(a, b), **fold_line_matplotlib_style())
 
 

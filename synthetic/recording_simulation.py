@@ -21,17 +21,17 @@ from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilt_sensors import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
-from rig.model.mechanisms import best_six_legs_and_loop_closures
-from rig.model.mechanisms.arm import link_frames
+from rig.model.mechanisms import redundant_strut_best_six_legs_and_loop_closures
+from rig.model.mechanisms.arm import single_hand_arm_link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
 from rig.planning.plan import sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan
+from rig.recording.corner_and_pose_csv_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
 from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
-from rig.recording.recording_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
-from synthetic import secret_machine_and_truth_file as worlds
+from synthetic import random_true_machine_and_truth_file as worlds
 from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
-from synthetic.secret_machine_and_truth_file import remount_cubes
+from synthetic.random_true_machine_and_truth_file import world_with_remounted_cubes
 from vision.predict import (
     MarkerMap,
     Sightings,
@@ -102,9 +102,9 @@ def simulate_world(
     known_sensors : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's
         payload, or None
     """
-    world = remount_cubes(world, dict(plan.turned))
+    world = world_with_remounted_cubes(world, dict(plan.turned))
     if known_sensors is None:
-        true, log = worlds.draw_temperatures(
+        true, log = worlds.random_true_and_logged_temperatures(
             plan.commands.t[-1], rng, worlds.strut_count(require_axes(world.true.mechanism))
         )
         sensors, log = sensors_with_payload(plan, true), sensors_with_payload(plan, log)
@@ -141,7 +141,9 @@ def rms_length_conflict_of_actuated_struts(simulation: Simulation) -> float | No
         np.sqrt(
             np.mean(
                 np.square(
-                    best_six_legs_and_loop_closures.incompatible_strut_length_component(run.T_base_platform, lengths, m)
+                    redundant_strut_best_six_legs_and_loop_closures.incompatible_strut_length_component(
+                        run.T_base_platform, lengths, m
+                    )
                 )
             )
         )
@@ -168,11 +170,15 @@ def _tilt_channels(
     """{channel: (n,) rad} that tilt sensors show at the exposures, mounted to within what is stated."""
     m, out = world.true.mechanism, dict[str, Floats]()
     state = motion_simulation.motion_of_commands(world.true, plan.commands, plan.t, world.effects, sensors)
-    lean = motion_simulation.lean_of_base(
+    lean = motion_simulation.base_lean_rotation_vectors(
         world.true, plan.commands, plan.t, run.T_base_platform, world.effects, sensors
     )
     platform = run.T_base_platform.rotation.as_matrix()
-    links = link_frames(state.lengths + run.deviation, m)[..., :3, :3] if has_links(m) else np.stack([platform] * 2, 1)
+    links = (
+        single_hand_arm_link_frames(state.lengths + run.deviation, m)[..., :3, :3]
+        if has_links(m)
+        else np.stack([platform] * 2, 1)
+    )
     down = Rotation.from_rotvec(-lean * has_links(m)).apply(np.array(state.gravity_in_base()))
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     for sensor in world.true.tilt_sensors:
@@ -389,7 +395,7 @@ def _measured_columns(
     return tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
 
 
-def truth_corners(simulation: Simulation) -> list[list[int | str | float]]:
+def true_corner_rows(simulation: Simulation) -> list[list[int | str | float]]:
     """True corners as rows [frame, camera, marker, corner, u, v] of every visible marker, for a truth file."""
     c = noisy_corners(simulation, 0.0, np.random.default_rng(0))
     return [

@@ -71,7 +71,7 @@ LAMPS = (Lamp((0.6, 0.4, 1.6), 1.3), Lamp((-0.9, -0.3, 1.3), 0.6))
 AMBIENT = 0.25
 
 
-def rig_parts(
+def rig_and_background_meshes(
     design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None
 ) -> list[Part]:
     """Parts (meshes) of a rig and of its background, plain or cluttered.

@@ -2,7 +2,8 @@
 
 Blind cases may hide both as unknown.
 
-An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw_unlisted_effect` makes one
+An effect out of the catalogue is one like any other, only that no diagnosis knows it; `random_unlisted_effect` makes
+one
 of a plausible size. A disturbance
 changes nothing but the noise of corners: there, too, nothing may be named.
 """
@@ -23,7 +24,7 @@ from rig.model.design import Camera, Design
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import exp, transform_points
-from rig.recording.recording_tables import Corners
+from rig.recording.corner_and_pose_csv_tables import Corners
 
 WAVES = 4  # sinusoids of a smooth random course
 
@@ -199,7 +200,7 @@ def _course(course: tuple[float, ...], t: Floats, size: int) -> Floats:
     return out
 
 
-def draw_unlisted_effect(design: Design, duration: float, rng: np.random.Generator) -> Effect:
+def random_unlisted_effect(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     """Unlisted effect (not in the catalogue) drawn at random, of a plausible size.
 
     Raises RigError for a rig that lacks what it needs.

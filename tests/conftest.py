@@ -119,7 +119,7 @@ def driven_design(design):
     """A design with a controller that counts from home and can home; speeds such that a move of 2 mm takes a quarter of
     a second.
     """
-    from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
+    from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
     from rig.model.design import Controller
 
     controller = Controller(
@@ -149,10 +149,10 @@ def driven_design(design):
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
     from rig.planning import configuration_generators, plan
-    from synthetic import recording_simulation, secret_machine_and_truth_file
+    from synthetic import random_true_machine_and_truth_file, recording_simulation
 
     rng = np.random.default_rng(seed)
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, size, effects)
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
         configuration_generators.sobol_configurations(strokes, count, seed=seed),
@@ -180,14 +180,14 @@ def limbed(tmp_path_factory):
     from rig.planning import plan
     from rig.planning.layout import hexapod_layout_and_camera_placement
     from rig.recording import recording_folder
-    from synthetic import recording_simulation, secret_machine_and_truth_file
+    from synthetic import random_true_machine_and_truth_file, recording_simulation
 
     folder = tmp_path_factory.mktemp("limbs")
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6))
     (folder / "rig.toml").write_text(text)
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     rng = np.random.default_rng(2)
-    machine = secret_machine_and_truth_file.draw_machine(design, rng)
+    machine = random_true_machine_and_truth_file.random_true_machine(design, rng)
     done = recording_simulation.simulate_world(machine, plan.build_plan(design, "axes:5,sobol:50"), rng)
     recording_simulation.write_recording(done, folder / "rec", text, rng, noise=0.04)
     recording_simulation.write_recording(

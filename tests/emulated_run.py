@@ -11,10 +11,10 @@ from pathlib import Path
 
 from rig.driving import emulators
 from rig.driving.clock import SystemClock
-from rig.driving.emulators import controller_emulator_opening_and_ports
-from rig.driving.emulators.emulated_axes_and_faults import Faults
+from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.protocol_and_port_names import MOTOR_RECORDS
+from rig.model.protocol_port_and_user_program_name_checks import MOTOR_RECORDS
 from rig.planning.layout import hexapod_layout_and_camera_placement
 
 WIDTH, HEIGHT = 64, 48
@@ -62,7 +62,7 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
     made = emulators.emulator_of_design(
         design_from_rig_toml.load_design(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock
     )
-    wire = controller_emulator_opening_and_ports.Terminal(link)
+    wire = emulator_opening_and_serving_over_terminal_or_tcp.Terminal(link)
     goals_file = open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
     count = 0
 
@@ -74,7 +74,9 @@ def _emulate(folder: str, protocol: str, pipe) -> None:
             count += 1
 
     pipe.send(True)
-    controller_emulator_opening_and_ports.serve_emulator(made, wire, lambda: True, lambda name: None, record)
+    emulator_opening_and_serving_over_terminal_or_tcp.serve_emulator(
+        made, wire, lambda: True, lambda name: None, record
+    )
 
 
 class EmulatedRig:
@@ -140,9 +142,9 @@ class RigInThread:
         self.path.write_text(text + controller_text("grblhal", folder / "port") + controller)
         self.design = design_from_rig_toml.load_design(self.path)
         self.emulator = emulators.emulator_of_design(self.design, Faults((), np.random.default_rng(0)), SystemClock())
-        wire = controller_emulator_opening_and_ports.Terminal(folder / "port")
+        wire = emulator_opening_and_serving_over_terminal_or_tcp.Terminal(folder / "port")
         self._thread = threading.Thread(
-            target=controller_emulator_opening_and_ports.serve_emulator,
+            target=emulator_opening_and_serving_over_terminal_or_tcp.serve_emulator,
             args=(self.emulator, wire, lambda: self._running, lambda name: None, lambda: None),
             daemon=True,
         )

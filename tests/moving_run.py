@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.driving.emulators.emulated_axes_and_faults import MovingAxes
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import MovingAxes
 from tests.truth.camera_sets import BETWEEN, CameraSet
 from tests.truth.case import Case, draw
 from tests.truth.sights import Rolling

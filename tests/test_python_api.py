@@ -13,11 +13,11 @@ import calib
 import rig
 import synthetic
 import vision
-from rig.cli.command_execution import module_of_command
-from rig.cli.command_list import COMMANDS, SHARED_FILES
+from rig.cli.command_import_execution_and_exit_status import module_of_command
+from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS, SHARED_FILES
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
-from rig.recording.recording_tables import write_poses
+from rig.recording.corner_and_pose_csv_tables import write_poses
 from tests import source_trees
 from tests.cli import run
 
@@ -51,12 +51,13 @@ CALLS = {
     "effects": "rig.effects.texts.effect_file_from_formula:new_effect_from_suggestion_or_example",
     "effects document": "rig.api:effect_catalogue",
     "doctor kernels": "calib.online.run_options_cameras_sensors_and_observer:compile_kernels_for_run",
-    "doctor completion": "rig.cli.shared.argument_parser_and_option_values:completion_script",
+    "doctor completion": "rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion:completion_script",
     "print": "synthetic.print_sheets:write_sheets",
     "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",
     **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:new_rig_toml"),
     "import": "rig.api:import_recording",
-    "emulate": "rig.driving.emulators.controller_emulator_opening_and_ports:emulator_of_rig_toml_controller",
+    "emulate": "rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp:"
+    "emulator_of_rig_toml_controller",
     "view index": "rig.report.pages.page_templates_and_index_page:write_index_page",
 }  # module:function that does a command's work
 STATEMENTS = 35  # of a command's `run` at the most: arguments, one call, print and write

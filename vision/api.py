@@ -14,16 +14,19 @@ from rig.array_and_json_types import Json
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import write_text
-from rig.formats.pandas_tables import DataFrame, pandas_table_of_columns, pandas_table_of_poses
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_cameras, replace_target_markers
+from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table_of_columns, pandas_table_of_poses
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+    rig_toml_with_camera_values_replaced,
+    rig_toml_with_target_markers_replaced,
+)
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.design import Camera
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
-from rig.recording.recording_tables import Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.report.verdict_refutations_and_result_display import (
     AGREES,
@@ -39,20 +42,23 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
     HeldOut,
     NotHeldOut,
     crossvalidate_adjustment,
-    determined_combinations,
+    determinacy_of_adjusted_unknowns,
 )
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
 from vision.bundle.marker_displacements import Places, adjusted_markers, compare_stated_and_adjusted_places
-from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
-from vision.camera_and_command_clocks import Clocks, clocks_of_recording
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     ignore_notice,
-    make_corner_mistake_refusal,
-    refuse_mistakes_in_files_and_images,
+    make_corner_check_raising_on_severe_mistakes,
+    require_no_severe_mistakes_in_files_and_images,
+)
+from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
+    Clocks,
+    clock_offset_and_drive_lag_by_recording,
 )
 from vision.predict import marker_map
-from vision.reading.marker_identity_and_expected_places import Suspect, find_suspicious_markers
-from vision.reading.recording_corners import Collected, image_reader
+from vision.reading.corner_reading_from_recording_images import Collected, image_reader
+from vision.reading.marker_identity_mistakes_and_expected_marker_places import Suspect, find_suspicious_markers
 from vision.recording_adjustment import Measurement, has_hand_cameras, invert_measured_poses, recording_seen_from_hand
 from vision.recording_measurement import PLACES, measure_recording, recording_with_unstated_markers_placed
 
@@ -136,18 +142,21 @@ class MeasurementResult(OneLineRepr):
         the tables of times.
         """
         m, recording = self.measurement, self.recording
-        text = replace_cameras(read_text(recording.folder / "rig.toml"), m.design.cameras)
-        write_text(folder / "rig.toml", replace_target_markers(text, adjusted_markers(m)) if m.places_free else text)
+        text = rig_toml_with_camera_values_replaced(read_text(recording.folder / "rig.toml"), m.design.cameras)
+        write_text(
+            folder / "rig.toml",
+            rig_toml_with_target_markers_replaced(text, adjusted_markers(m)) if m.places_free else text,
+        )
         write_kinematics_file(folder, recording.design.mechanism)
         hands = hand_names(recording.design.mechanism)
         hand = np.full(len(m.frames), hands.index(selected_hand_name(recording.design.mechanism))) if hands else None
         poses = Poses(m.frames, m.T_base_platform, m.covariance, hand=hand)
-        recording_tables.write_poses(folder / "poses.csv", poses, hands)
+        corner_and_pose_csv_tables.write_poses(folder / "poses.csv", poses, hands)
         write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
-        recording_tables.write_corners(folder / "corners.csv", m.corners())
+        corner_and_pose_csv_tables.write_corners(folder / "corners.csv", m.corners())
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
         for number, stage in m.stages.items():
-            recording_tables.write_poses(
+            corner_and_pose_csv_tables.write_poses(
                 folder / f"poses_stage{number}.csv", Poses(stage.frames, stage.T_base_platform, stage.covariance)
             )
 
@@ -196,7 +205,7 @@ def camera_offset_lines(measured: Measurement) -> list[str]:
     return lines
 
 
-def focal_length_alarms(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
+def too_large_focal_length_adjustment_sentences(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
     """Alarms of cameras whose focal length was adjusted too far.
 
     That is by more than ZOOMED times what its stated one is taken to be worth. One sentence for each.
@@ -231,7 +240,8 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
             )
         )
     missing += [
-        MissingEvidence(text) for text in focal_length_alarms(result.recording.design.cameras, m.design.cameras)
+        MissingEvidence(text)
+        for text in too_large_focal_length_adjustment_sentences(result.recording.design.cameras, m.design.cameras)
     ]
     if isinstance(result.held, NotHeldOut):
         missing.append(MissingEvidence("no frame could be held out to check the uncertainties"))
@@ -305,17 +315,17 @@ def measure(
     """
     require_one_hand_shown(recording)
     recording = recording_with_unstated_markers_placed(recording, options.detect, progress)
-    refuse_mistakes_in_files_and_images(recording, options.anyway, notice)
+    require_no_severe_mistakes_in_files_and_images(recording, options.anyway, notice)
     measured, collected = measure_recording(
         recording,
         tuple(part for part in HELD if part not in options.hold),
         options.detect,
         progress,
         options.places,
-        make_corner_mistake_refusal(recording, options.anyway, notice),
+        make_corner_check_raising_on_severe_mistakes(recording, options.anyway, notice),
     )
     held = crossvalidate_adjustment(measured.used(), measured.adjustment)
-    determination = determined_combinations(measured.adjustment)
+    determination = determinacy_of_adjusted_unknowns(measured.adjustment)
     stated = measured.adjustment.stated.placed.stated[measured.adjustment.unknowns.seen].any()
     moved = (
         compare_stated_and_adjusted_places(measured, recording.exposures.times()[1])
@@ -328,6 +338,8 @@ def measure(
     read = image_reader(seen) if any(recording.exposures.image) else None
     wrong = find_suspicious_markers(as_seen, marker_map(seen.design), collected.repeated if collected else (), read)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
-    clocks = clocks_of_recording(recording, measured.frames, measured.T_base_platform, own, measured.common)
+    clocks = clock_offset_and_drive_lag_by_recording(
+        recording, measured.frames, measured.T_base_platform, own, measured.common
+    )
     statement = [*map(str, clocks), *camera_offset_lines(measured), *determination.lines()]
     return MeasurementResult(recording, measured, held, collected, moved, statement, wrong, determination, clocks)

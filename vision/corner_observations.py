@@ -18,7 +18,7 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Design
-from rig.recording.recording_tables import Corners
+from rig.recording.corner_and_pose_csv_tables import Corners
 from vision.predict import MarkerMap, State
 
 _COLUMNS = ("frame", "camera", "marker", "corner", "uv", "covariance", "points", "on_platform")

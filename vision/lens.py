@@ -69,7 +69,7 @@ def _project_jacobian_kernel(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def transform_platform_points(
+def fill_base_frame_points(
     points: Floats, Ts_base_platform: Floats, frame: Integers, on_platform: Booleans, out: Floats
 ) -> None:
     """Transform the points on the platform by the pose of their frame, into out (n, 3) m.
@@ -102,7 +102,7 @@ def project(points: Floats, matrix: Floats, distortion: Floats) -> Floats:
     return (_on_sensor(uv, matrix, _tilt(*k[12:])) if tilted else uv).reshape(*np.shape(points)[:-1], 2)
 
 
-def project_jacobian(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
+def projected_pixels_and_jacobians(points: Floats, matrix: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats]:
     """Projected pixels (..., 2), and their Jacobian.
 
     With the point (..., 2, 3) and the lens (..., 2, 4 + terms).
@@ -137,7 +137,7 @@ def undistort(uv: Floats, matrix: Floats, distortion: Floats) -> Floats:
     unit = np.eye(3)
     for _ in range(30):
         points = np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1)
-        distorted, J, _ = project_jacobian(points, unit, distortion)
+        distorted, J, _ = projected_pixels_and_jacobians(points, unit, distortion)
         error = goal - distorted
         if np.nanmax(np.abs(error), initial=0) < UNDISTORT_TOLERANCE:
             break

@@ -13,12 +13,12 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.pose import adjoint
-from vision.bundle.normal_equations_and_corner_jacobians import (
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import POSE_SCALE, Estimate, Unknowns
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     schur_complement,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE, Estimate, Unknowns
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.predict import (
     SQUARE,

@@ -84,7 +84,7 @@ class MarkerMap:
         return np.where(own[order][at] == keys, order[at], -1)
 
 
-def are_markers_placed(design: Design) -> bool:
+def are_all_marker_poses_known(design: Design) -> bool:
     """Whether the pose of every marker on its body is stated or found."""
     return all(marker.pose is not None for target in design.targets for marker in target.listed)
 
@@ -285,7 +285,7 @@ def is_inside_image(sightings: Sightings, uv: Floats, cameras: Sequence[Camera],
     return cast(Booleans, ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2)))
 
 
-def markers_expected_in_image(
+def expected_marker_rows_and_corners_in_image(
     camera: Camera, T_base_platform: RigidTransform, marker_map: MarkerMap
 ) -> tuple[Integers, Floats]:
     """Markers expected whole in a fixed camera's image: their rows (k,), and their corners (k, 4, 2) px."""
@@ -395,9 +395,7 @@ def observed_points_base(observations: ObservedCorners, state: State) -> Floats:
     """Observed points (n, 3) m in the base frame."""
     points = np.ascontiguousarray(observed_points_body(observations, state))
     out = np.empty(points.shape)
-    lens.transform_platform_points(
-        points, state.platform.as_matrix(), observations.frame, observations.on_platform, out
-    )
+    lens.fill_base_frame_points(points, state.platform.as_matrix(), observations.frame, observations.on_platform, out)
     return out
 
 

@@ -19,13 +19,13 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 from vision.bundle.adjustment_covariance_of_correlated_corner_errors import with_covariance_of_unlike_errors
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
-from vision.bundle.robust_adjustment import adjust_robustly, inflate_repeated_corner_covariance
+from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_covariance_and_systematic_error
 from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import (
@@ -185,7 +185,7 @@ def measure_observations(
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     observations = replace(observations, covariance=fit.covariance)
     retained, good = observations_of_frames(observations, solved), fit.inliers[keep]
-    weights, standing = inflate_repeated_corner_covariance(retained, good, fit.adjustment.state)
+    weights, standing = repeated_corner_covariance_and_systematic_error(retained, good, fit.adjustment.state)
     weighed = replace(retained, covariance=weights).take(good)
     result = adjust_bundle(weighed, fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
     own = (weights == retained.covariance).all(axis=(1, 2))[good]

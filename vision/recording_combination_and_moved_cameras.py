@@ -16,13 +16,13 @@ from rig.model.design_comparison_and_cube_turning_instructions import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,
-    channels_not_in_all,
     combined_camera_name,
     first_recording_by_camera,
     is_measured_by_instrument,
     join_recordings,
     last_remount_recording_by_target,
     require_one_rig,
+    sensor_channels_missing_in_some_recordings,
 )
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
@@ -128,7 +128,10 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
                 r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)
             ]
     return CombinedRecordings(
-        join_recordings(recordings, owners), owners, tuple(moved), tuple(channels_not_in_all(recordings))
+        join_recordings(recordings, owners),
+        owners,
+        tuple(moved),
+        tuple(sensor_channels_missing_in_some_recordings(recordings)),
     )
 
 

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
-from vision import recording_adjustment, rolling_shutter_motion_removed_from_poses
+from vision import platform_motion_between_frame_time_and_corner_exposure, recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_displacements import (
     HALVED,
@@ -26,11 +26,22 @@ from vision.bundle.marker_displacements import (
 )
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
+from vision.platform_motion_between_frame_time_and_corner_exposure import Rates, ReadoutMotion
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.predict import MarkerMap, marker_map
-from vision.reading.live_measurement_and_corner_refit import ROUNDS, SETTLED, largest_lens_difference, refit_corners
-from vision.reading.marker_identity_and_expected_places import LOOKED_AT, no_marker_reason
-from vision.reading.recording_corners import Collected, collect_corners, image_reader, search_missed_markers
+from vision.reading.corner_reading_from_recording_images import (
+    Collected,
+    image_reader,
+    read_corners_of_all_images,
+    search_missed_markers,
+)
+from vision.reading.live_measurement_and_corner_refit import (
+    ROUNDS,
+    SETTLED,
+    largest_pixel_shift_between_lenses,
+    refit_corners,
+)
+from vision.reading.marker_identity_mistakes_and_expected_marker_places import LOOKED_AT, no_marker_reason
 from vision.recording_adjustment import (
     Measurement,
     has_hand_cameras,
@@ -40,7 +51,6 @@ from vision.recording_adjustment import (
     measure_without_remounted_cubes,
     recording_seen_from_hand,
 )
-from vision.rolling_shutter_motion_removed_from_poses import Rates, ReadoutMotion
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
@@ -71,7 +81,9 @@ def measure_recording(
     recording = recording_with_unstated_markers_placed(recording, read_images, progress)
     options = (free, read_images, progress, places, check_corners)
     if not has_hand_cameras(recording.design):
-        return _measured(recording, *options, rolling_shutter_motion_removed_from_poses.commanded_rates(recording))
+        return _measured(
+            recording, *options, platform_motion_between_frame_time_and_corner_exposure.commanded_rates(recording)
+        )
     measured, collected = _measured(recording_seen_from_hand(recording), *options, None)
     return invert_measured_poses(measured), collected
 
@@ -91,13 +103,13 @@ def recording_with_unstated_markers_placed(
     if not unplaced or not design.cameras:
         return recording
     if any(target.stage for target, _ in unplaced):
-        refuse_free_marker_places_on_stages("free")
+        require_no_free_marker_places_on_stages("free")
     seen = recording_seen_from_hand(recording).design
     markers, (frames, t) = marker_map(seen, RigidTransform.identity()), recording.exposures.times()
     corners = recording.corners
     if corners is None or read_images:
         label = None if progress is None else partial(progress, "reading images for places of markers")
-        corners = collect_corners(replace(recording, design=seen), markers, label).corners
+        corners = read_corners_of_all_images(replace(recording, design=seen), markers, label).corners
     observed = observations_from_corners(corners, frames, seen, markers)
     _, linked = marker_places_from_sightings(observed, seen.cameras, markers)
     shown = np.isin(np.arange(len(markers.id)), observed.marker)
@@ -185,7 +197,7 @@ def _measured(
             f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is "
             "nothing to measure"
         )
-    found = collect_corners(recording, markers, labelled("reading images"))
+    found = read_corners_of_all_images(recording, markers, labelled("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(
             f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}"
@@ -196,14 +208,14 @@ def _measured(
         found = more
         measured = solved(found.corners, found.correlation)
     for _ in range(ROUNDS):
-        if largest_lens_difference(found.corners, found.cameras, measured.design.cameras) < SETTLED:
+        if largest_pixel_shift_between_lenses(found.corners, found.cameras, measured.design.cameras) < SETTLED:
             break
         found = refit_corners(recording, found, measured.design.cameras, markers, labelled("placing anew"))
         measured = solved(found.corners, found.correlation)
     return measured, found
 
 
-def refuse_free_marker_places_on_stages(places: str) -> None:
+def require_no_free_marker_places_on_stages(places: str) -> None:
     """Raise RigError where marker places are to be free on stages.
 
     On a rig with targets on stages of a chain.
@@ -230,7 +242,7 @@ def measure_with_stated_or_free_markers(
     t : (F,) s
     """
     if markers.stage.any():
-        refuse_free_marker_places_on_stages(places)
+        require_no_free_marker_places_on_stages(places)
         return recording_adjustment.separate_stage_measurements(
             measure_observations(
                 recording_adjustment.give_each_stage_separate_frames(observed, markers),

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.api.platform_kinematics import PlatformKinematics
+from calib.api.nominal_and_calibrated_platform_kinematics import PlatformKinematics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
@@ -130,7 +130,7 @@ def load_kinematics(text: str) -> ArmKinematics | PlatformKinematics:
         if is_parallel(machine):
             return PlatformKinematics(machine)
         arm = require_arm(machine)
-        require_one_hand(arm, "kinematics is printed")
+        require_single_hand_mechanism(arm, "kinematics is printed")
         return ArmKinematics(arm)
     calibration = calibration_file.load(text)
     correction, left_out = calibration.correction, None

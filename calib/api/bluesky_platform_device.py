@@ -14,10 +14,10 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.correction_server_and_move_to_pose import PoseMove, plan_pose_move, require_same_rig
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.array_and_json_types import Floats, Json
-from rig.driving.strut_driver import Driver
+from rig.driving.axis_driver import Driver
 from rig.errors import MissingLibrary, MotionError, Stopped
 from rig.model.pose import pose, pose_to_vector
-from rig.recording.recording_tables import POSE_COLUMNS, POSE_UNITS
+from rig.recording.corner_and_pose_csv_tables import POSE_COLUMNS, POSE_UNITS
 
 
 class PosePlatform:

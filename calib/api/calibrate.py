@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.api.correction_over_configuration_or_pose_space import (
+from calib.api.correction_extension_over_configuration_or_pose_space import (
     ExtendedCorrection,
     ExtendOptions,
     certify_correction_extension,
@@ -19,23 +19,23 @@ from calib.api.recording_check_combination_and_view import check_and_combine_rec
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
-from calib.certification.error_claim_over_workspace import Claim
+from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction_tables import (
     correction_summand_column_names,
-    correction_summand_table_rows,
+    correction_summand_csv_rows,
     strut_correction_summands,
 )
-from calib.correction.physics_compensation import Physics
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
-from calib.diagnosis import findings_refit
-from calib.diagnosis.findings_refit import (
+from calib.diagnosis import geometry_refitted_with_diagnosed_effects
+from calib.diagnosis.geometry_refitted_with_diagnosed_effects import (
     Findings,
     findings_of_diagnosis,
     findings_with_missing_instrument_effects_added,
     load_findings,
 )
-from calib.diagnosis.physics_left_out_of_calibration import (
+from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import (
     calibration_with_left_out_physics,
     mark_as_not_searched_for_left_out_physics,
 )
@@ -54,7 +54,7 @@ from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain.configuration_space_correction import chain_correction_summands
 from calib.models.machine_models import Certified
-from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
@@ -63,7 +63,7 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import (
 from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design
@@ -73,12 +73,12 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod,
     require_parallel,
 )
+from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from vision.camera_and_command_clocks import Clocks
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,7 +221,7 @@ class CalibrationResult(OneLineRepr):
         else:
             found = strut_correction_summands(samples, nominal)
         write_table(
-            path, correction_summand_column_names(len(nominal.axes)), correction_summand_table_rows(samples, found)
+            path, correction_summand_column_names(len(nominal.axes)), correction_summand_csv_rows(samples, found)
         )
 
 
@@ -251,7 +251,7 @@ def calibrate(
     findings = None if options.diagnosis is None else load_findings(options.diagnosis, recording, kinds)
     with threadpool_limits(1):  # sums of products are rounded by how many threads share them
         if options.limbs is not None:
-            sampled = sample_by_limbs(recording, options.limbs, progress, notice)
+            sampled = sample_recording_by_checked_measuring_limbs(recording, options.limbs, progress, notice)
         else:
             sampled = sample_recording(recording, progress=progress, on_corners=prepared.look, several_hands=True)
         _require_tilt_readings(recording)
@@ -330,7 +330,9 @@ def _fitted_platform(
     struts, samples = require_parallel(recording.design.mechanism), sampled.samples
     refit = None
     if findings is not None:
-        refit = findings_refit.refit_platform_with_findings(recording, sampled, findings, progress)
+        refit = geometry_refitted_with_diagnosed_effects.refit_platform_with_findings(
+            recording, sampled, findings, progress
+        )
         samples = refit.samples
     if joint:
         require_hexapod(struts)
@@ -351,7 +353,7 @@ def _fitted_arm(
     """(the Samples fitted, Certified, Claim, Known) of an arm. findings : that are fitted with the geometry, or None"""
     refit = together = None
     if findings is not None:
-        refit = findings_refit.refit_arm_with_findings(recording, sampled, findings, progress)
+        refit = geometry_refitted_with_diagnosed_effects.refit_arm_with_findings(recording, sampled, findings, progress)
         together = refit.together
     samples = sampled.samples if together is None else together.samples
     arm = require_arm(recording.design.mechanism)

@@ -9,7 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certificate import certificate_json_and_pdf, certificate_page, certificate_sentences, digital_certificate_xml
+from calib.certificate import (
+    certificate_json_and_pdf,
+    certificate_page,
+    certificate_sentences_and_quantity_texts,
+    digital_certificate_xml,
+)
 from calib.certificate.certificate_computation_verdict_and_provenance import (
     Certificate,
     calibration_certificate,
@@ -23,7 +28,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.calibration_evidence_verdict_and_claim_check import (
     AgainstClaim,
     calibration_evidence,
-    check_claim_on_recording,
+    claim_verification_and_excess_errors_of_recording,
     evidence_with_confounds,
     evidence_with_displaced_base_or_tool,
     evidence_with_verification,
@@ -78,11 +83,11 @@ class CertificationResult(OneLineRepr):
         if isinstance(made, PointingCertificate):
             return made.lines()
         return [
-            certificate_sentences.length_scale_line(made),
-            certificate_sentences.promise_line(made),
-            certificate_sentences.measured_volume_line(made),
-            *certificate_sentences.promise_basis_lines(made),
-            *certificate_sentences.conformity_lines(made),
+            certificate_sentences_and_quantity_texts.length_scale_line(made),
+            certificate_sentences_and_quantity_texts.promise_line(made),
+            certificate_sentences_and_quantity_texts.measured_volume_line(made),
+            *certificate_sentences_and_quantity_texts.promise_basis_lines(made),
+            *certificate_sentences_and_quantity_texts.conformity_lines(made),
         ]
 
     def __str__(self) -> str:
@@ -185,7 +190,9 @@ def _against_claim(
     )
     for recording, sampled in held:
         samples = calibration.with_physics(recording, sampled.samples)
-        one = check_claim_on_recording(calibration, recording.name, samples, np.random.default_rng(SEED))
+        one = claim_verification_and_excess_errors_of_recording(
+            calibration, recording.name, samples, np.random.default_rng(SEED)
+        )
         if one is not None:
             claims.append(one)
             known = evidence_with_verification(known, one.found, recording.name)

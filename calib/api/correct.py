@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import require_reachable
-from calib.correction.physics_compensation import require_sensor_coverage
-from calib.correction.timed_command_sequence_and_pose_error_map import HOLDING
+from calib.correction.correction import require_commands_in_axis_ranges
+from calib.correction.physical_effects_of_calibration_and_their_compensation import require_sensor_coverage
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import HOLDING
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import tool_parameter_slice
 from calib.models.machine_models import corrected_pose_covariance
@@ -20,20 +20,20 @@ from calib.models.wanted_pose_commands import (
     RouteCommands,
     commands_along_route,
     pace_that_holds_poses_at_times,
-    poses_to_command,
+    pose_commands_for_controller_with_own_kinematics,
 )
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.driving.protocols.poses_of_hexapod_controllers import AXES as HEXAPOD_AXES
 from rig.driving.protocols.poses_of_hexapod_controllers import PoseFrames as PoseFrames
-from rig.driving.protocols.poses_of_hexapod_controllers import controller_values_of_pose
+from rig.driving.protocols.poses_of_hexapod_controllers import xyz_mm_uvw_degrees_of_poses
 from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.pose import pose_difference, pose_to_vector
+from rig.recording.corner_and_pose_csv_tables import POSE_COLUMNS, POSE_UNITS, Poses
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import POSE_COLUMNS, POSE_UNITS, Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
@@ -116,8 +116,8 @@ class CorrectionResult(OneLineRepr):
             return values
         near = self.wanted.poses.T_base_platform[self.index[pose]]
         nominal = self.calibration.correction.nominal
-        command = poses_to_command(nominal, values, near, self.pose_frames)
-        return controller_values_of_pose(command) if self.pose_frames.mm_and_degrees else pose_to_vector(command)
+        command = pose_commands_for_controller_with_own_kinematics(nominal, values, near, self.pose_frames)
+        return xyz_mm_uvw_degrees_of_poses(command) if self.pose_frames.mm_and_degrees else pose_to_vector(command)
 
     @property
     def covariance(self) -> Floats | None:
@@ -294,7 +294,7 @@ def _commanded(
     elif options.single_step:
         plain = correction.single_step(T)
     done = commands_along_route(calibration, T, start, pace, options.sensors, options.approach, plain)
-    require_reachable(done.values, correction.nominal, [f"pose {i}" for i in range(len(keep))])
+    require_commands_in_axis_ranges(done.values, correction.nominal, [f"pose {i}" for i in range(len(keep))])
     return done
 
 
@@ -369,7 +369,7 @@ def _start(values: Floats | None, calibration: Calibration) -> Floats:
             f"--start must be home or {len(nominal.axes)} values separated by commas, m or rad, got {shown!r}"
         )
     try:
-        require_reachable(values[None], nominal, ["the start"])
+        require_commands_in_axis_ranges(values[None], nominal, ["the start"])
     except Unreachable as error:
         raise RigError(f"--start is invalid: {error.violations[0]}") from None
     return values

@@ -25,25 +25,25 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.api.correct import CorrectionResult, CorrectOptions, correct, rms_and_greatest_uncertainty
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import require_reachable
+from calib.correction.correction import require_commands_in_axis_ranges
 from calib.files.mechanism_and_physics_entries import mechanism_dict
 from calib.models.additional_correction_pass import mechanism_placed_as_calibrated
 from calib.models.arm.correction import ArmCorrection
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.array_and_json_types import Floats, Json
-from rig.driving.axis_units_and_distances import values_text
+from rig.driving.axis_display_units_and_controller_counts import values_text
+from rig.driving.axis_driver import Driver
 from rig.driving.controller_status_and_limits import ControllerStatus
-from rig.driving.strut_driver import Driver
 from rig.errors import RigError, Unreachable
 from rig.formats.checked_entries import LARGEST_RIG
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import pose, pose_to_vector
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 
 
@@ -150,13 +150,13 @@ def plan_pose_move(
     if start is None:
         start = mechanisms.kinematics_of(correction.nominal).home_values(correction.nominal)
     if isinstance(correction, ArmCorrection):
-        require_one_hand(correction.nominal, "a pose is gone to")
+        require_single_hand_mechanism(correction.nominal, "a pose is gone to")
         speed = design.driver().max_speed
         calibration = replace(calibration, correction=correction.in_posture_nearest_to(wanted, start, speed))
     T = _as_batch(wanted)
     plain = calibration.correction.uncorrected(T) if uncorrected else None
     found = commands_along_route(calibration, T, np.asarray(start, float), commands_to_keep=plain)
-    require_reachable(found.values, require_axes(design.mechanism), ["the pose"])
+    require_commands_in_axis_ranges(found.values, require_axes(design.mechanism), ["the pose"])
     covariance = None if found.covariance is None else found.covariance[0]
     return PoseMove(design, calibration, wanted, found.values[0], uncorrected, covariance=covariance)
 
@@ -172,7 +172,7 @@ def require_same_rig(
 
     Ends of an arm that are stated free stand where the calibration has them. The paths, or names, are for the message.
     """
-    require_one_hand(design.mechanism, "a pose is gone to")
+    require_single_hand_mechanism(design.mechanism, "a pose is gone to")
     known = calibration.correction.nominal
     stated = mechanism_placed_as_calibrated(require_axes(design.mechanism), known, design.instrument)
     if difference := _difference(mechanism_dict(known), mechanism_dict(stated), "mechanism"):

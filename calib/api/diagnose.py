@@ -13,8 +13,8 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis import recording_diagnosis
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import StatedTerms
-from calib.diagnosis.physics_left_out_of_calibration import (
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import StatedTerms
+from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import (
     Refutation,
     refuted_calibrations,
     unexplained_findings_and_refutations,
@@ -22,7 +22,7 @@ from calib.diagnosis.physics_left_out_of_calibration import (
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
-from calib.diagnosis.report.report_verdict_and_folder import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     Report,
     diagnosis_report,
     diagnosis_verdict,
@@ -31,10 +31,14 @@ from calib.diagnosis.report.report_verdict_and_folder import (
 from calib.files import calibration_file
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, parse_effect_and_place, require_known_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
+    Kinds,
+    parse_effect_and_place,
+    require_known_effect,
+)
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.pandas_tables import DataFrame, pandas_table
+from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames
 from rig.recording.recording_folder import Recording

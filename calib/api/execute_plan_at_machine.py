@@ -12,7 +12,7 @@ from threading import Thread
 
 import numpy as np
 
-from calib.online.live_learner_and_run_state import RunDisplay
+from calib.online.live_learner_limb_watch_run_state_and_display import RunDisplay
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import RunOptions as RunOptions
 from calib.online.run_options_cameras_sensors_and_observer import (
@@ -20,29 +20,29 @@ from calib.online.run_options_cameras_sensors_and_observer import (
     make_run_observer,
     open_cameras,
     open_sensors_and_assemble_equipment,
-    set_exposures,
+    set_camera_exposures_and_report_lines,
 )
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check
-from rig.driving.axis_units_and_distances import axes_word, thousandths_name
-from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras
+from rig.driving.axis_display_units_and_controller_counts import axes_word, name_of_thousandth_of_axis_units
+from rig.driving.axis_driver import Driver
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import SynchronisedCameras
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import TRUST, ControllerStatus, require_goals_within_limits
 from rig.driving.driver_opening_and_settling import Settling, open_driver, parse_settling, settled_status
-from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
 from rig.driving.run_journal import Began, CameraExposures, Journal
-from rig.driving.run_steps_and_progress import (
+from rig.driving.run_steps_from_plan_and_progress_from_journal import (
     Progress,
     Step,
-    check_steps,
     lost_position_reason,
     progress_from_journal,
+    require_all_steps_permitted,
     steps_exposed_during_motion,
     steps_of_plan,
 )
-from rig.driving.strut_driver import Driver
-from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
@@ -79,7 +79,7 @@ class PlannedRun:
         """
         c = self.design.driver()
         start = c.home if c.home is not None else home_lengths(require_axes(self.design.mechanism))
-        check_steps(self.steps, start, move_checker(self.design))
+        require_all_steps_permitted(self.steps, start, make_function_refusing_unsafe_moves(self.design))
         return np.diff(np.array([start, *(step.goal for step in self.steps)]), axis=0)
 
     def seconds(self) -> float:
@@ -150,7 +150,7 @@ class PlannedRun:
             for line in self.controller_warnings(driver):
                 notice(f"warning: {line}")
             homes, status = self._home(driver, settled_status(driver, clock), before, notice)
-            check_steps(self.steps, status.lengths, move_checker(self.design))
+            require_all_steps_permitted(self.steps, status.lengths, make_function_refusing_unsafe_moves(self.design))
             bench = open_sensors_and_assemble_equipment(
                 self.design,
                 driver,
@@ -195,7 +195,7 @@ class PlannedRun:
             ""
             if before is None
             else lost_position_reason(
-                before, status.lengths, c.tolerance, driver.started_anew, c.homing, thousandths_name(m)
+                before, status.lengths, c.tolerance, driver.started_anew, c.homing, name_of_thousandth_of_axis_units(m)
             )
         )
         if trust or (before is None and not c.homing and status.known):
@@ -221,7 +221,9 @@ class PlannedRun:
         stated = self.options.exposure
         if isinstance(stated, str) or shutter is None:
             return {}
-        made, lines = set_exposures(shutter, self.design, stated, before.exposures if before is not None else {})
+        made, lines = set_camera_exposures_and_report_lines(
+            shutter, self.design, stated, before.exposures if before is not None else {}
+        )
         for line in lines:
             notice(line)
         return made
@@ -258,7 +260,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     return PlannedRun(design, path, plan, steps, settling, options)
 
 
-def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
+def make_function_refusing_unsafe_moves(design: Design) -> Callable[[Floats, Floats], None]:
     """Checker of moves, a function.
 
     A function that raises Unreachable where the driver would refuse the move.
@@ -269,7 +271,7 @@ def move_checker(design: Design) -> Callable[[Floats, Floats], None]:
 
     def check(start: Floats, goal: Floats) -> None:
         move_profiles_and_path_check.require_safe_path(
-            start, move_profiles_and_path_check.require_lengths_in_range(goal, m), m, c.margin, c.max_step
+            start, move_profiles_and_path_check.require_axis_values_in_range(goal, m), m, c.margin, c.max_step
         )
 
     return check

@@ -11,19 +11,26 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.lookup_table_over_sensor_channels import correction_lookup_table
-from calib.correction.controller_kinematics_source import grblhal_kinematics_source, linuxcnc_kinematics_source
-from calib.correction.correction_as_c_source import correction_c_source
+from calib.api.lookup_table_over_sensor_channels import corrected_command_lookup_table
 from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
+from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import correction_c_source
+from calib.correction.hexapod_kinematics_c_source_for_linuxcnc_and_grblhal import (
+    grblhal_kinematics_source,
+    linuxcnc_kinematics_source,
+)
 from calib.files import calibration_file
 from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.correction import ArmCorrection
 from rig.errors import RigError
-from rig.formats.exporters import geometry_and_camera_files, recording_as_rerun_tum_parquet, urdf_and_sdf
+from rig.formats.exporters import (
+    geometry_compensation_and_camera_file_exports,
+    recording_as_rerun_tum_parquet,
+    urdf_and_sdf_export_of_arms_and_hexapods,
+)
 from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm, FileMechanism, Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,
@@ -131,7 +138,9 @@ def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -
     if kind == LOOKUP:
         if options.poses is None:
             raise RigError("lut takes the wanted poses, as --poses FILE")
-        table = correction_lookup_table(calibration_file.load(machine), load_wanted_poses(options.poses), options.over)
+        table = corrected_command_lookup_table(
+            calibration_file.load(machine), load_wanted_poses(options.poses), options.over
+        )
         wanted = [table.poses_for(kind, size) for kind, size in options.uncertainty.items()]
         return ExportResult({"": table.csv}, "; ".join([str(table), *wanted]))
     if kind in CAMERAS:
@@ -152,19 +161,23 @@ def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
             f"{kind} takes a mechanism of kind {' or '.join(kinds)}; {path} has one of kind {mechanism.kind!r}"
         )
     text = {
-        "genhexkins": lambda: geometry_and_camera_files.genhexkins_settings(
+        "genhexkins": lambda: geometry_compensation_and_camera_file_exports.genhexkins_settings(
             require_hexapod(mechanism), options.units, lead, options.coupling
         ),
         "urdf": lambda: (
-            urdf_and_sdf.arm_urdf(require_arm(mechanism), path.stem)
+            urdf_and_sdf_export_of_arms_and_hexapods.arm_urdf(require_arm(mechanism), path.stem)
             if mechanism.link_rows is not None
-            else urdf_and_sdf.hexapod_urdf(require_hexapod_or_redundant_hexapod(mechanism), path.stem)
+            else urdf_and_sdf_export_of_arms_and_hexapods.hexapod_urdf(
+                require_hexapod_or_redundant_hexapod(mechanism), path.stem
+            )
         ),
-        "sdf": lambda: urdf_and_sdf.hexapod_sdf(require_hexapod_or_redundant_hexapod(mechanism), path.stem),
-        "json": lambda: geometry_and_camera_files.geometry_json(
+        "sdf": lambda: urdf_and_sdf_export_of_arms_and_hexapods.hexapod_sdf(
+            require_hexapod_or_redundant_hexapod(mechanism), path.stem
+        ),
+        "json": lambda: geometry_compensation_and_camera_file_exports.geometry_json(
             mechanism if isinstance(mechanism, FileMechanism) else _exported(mechanism)
         ),
-        "csv": lambda: geometry_and_camera_files.geometry_csv(
+        "csv": lambda: geometry_compensation_and_camera_file_exports.geometry_csv(
             mechanism if isinstance(mechanism, FileMechanism) else _exported(mechanism)
         ),
     }[kind]()
@@ -202,18 +215,18 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
             "writes the correction, --format json the parameters"
         )
     parts = options.parts if options.parts is not None else 3 if kind == "grid" else 64
-    most = 9 if kind == "grid" else geometry_and_camera_files.MOST - 1
+    most = 9 if kind == "grid" else geometry_compensation_and_camera_file_exports.MOST - 1
     if not 1 <= parts <= most:
         raise RigError(f"--intervals is 1 to {most} for {kind}, not {parts}")
     if kind == "grid":
-        text = geometry_and_camera_files.correction_grid_csv(
+        text = geometry_compensation_and_camera_file_exports.correction_grid_csv(
             *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
         )
         rows = (parts + 1) ** len(mechanism.axes)
         return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the nominal model has it")
     found = axis_correction_tables(correction, parts + 1)
     files = {
-        f"joint_{i}.comp": geometry_and_camera_files.linuxcnc_compensation_file(
+        f"joint_{i}.comp": geometry_compensation_and_camera_file_exports.linuxcnc_compensation_file(
             levels + correction.fitted.strut_zeros[i], trims, options.units
         )
         for i, (levels, trims) in enumerate(zip(found.levels, found.trims))
@@ -231,9 +244,9 @@ def _cameras(path: Path, kind: str) -> ExportResult:
     if not found:
         raise RigError(f"{path} has no cameras")
     written = (
-        geometry_and_camera_files.ros_camera_info
+        geometry_compensation_and_camera_file_exports.ros_camera_info
         if kind == "camera-info"
-        else geometry_and_camera_files.opencv_camera_yaml
+        else geometry_compensation_and_camera_file_exports.opencv_camera_yaml
     )
     return ExportResult({f"{camera.name}.yaml": written(camera) for camera in found})
 
@@ -272,7 +285,7 @@ def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has links or struts that can be written."""
-    require_one_hand(mechanism, "geometry is exported")
+    require_single_hand_mechanism(mechanism, "geometry is exported")
     return (
         require_arm(mechanism) if mechanism.link_rows is not None else require_hexapod_or_redundant_hexapod(mechanism)
     )

@@ -14,9 +14,9 @@ from calib.experiment import FIRST, LOADED, STANDING
 from calib.experiment.investigation_folder_and_report import (
     InvestigationRound,
     diagnosis_path,
-    duration_of_plan_in_minutes,
+    investigation_notebook_markdown,
     investigation_verdict,
-    notebook_text,
+    minutes_of_plan_file_with_setting_up,
     plan_path,
     read_investigation_rounds,
     recording_minutes_spent,
@@ -33,20 +33,22 @@ from rig.formats.output_files import write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_visiting_order import write_plan_table
-from rig.recording.recording_tables import Poses, write_poses
+from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 
 REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
 VERIFYING = 1000  # added to the seed for the new poses
 
 
-def certify_investigation(out: Path, rig: InvestigatedRig, rounds: Sequence[InvestigationRound]) -> tuple[str, ...]:
+def calibrate_verify_and_certify_investigated_rig(
+    out: Path, rig: InvestigatedRig, rounds: Sequence[InvestigationRound]
+) -> tuple[str, ...]:
     """Calibration, verification and certificate at the end of an investigation.
 
     Verified on new poses; the lines say too what could not be done. Raises Waiting as `InvestigatedRig.record` does
@@ -189,7 +191,7 @@ def investigate(
                 break
             _look(folder, rig, len(so_far) + 1, so_far)
         _write_notebook(folder, rig, so_far, ended)
-        after = certify_investigation(folder, rig, so_far)
+        after = calibrate_verify_and_certify_investigated_rig(folder, rig, so_far)
     except Waiting as waiting:
         return InvestigationResult(tuple(read_investigation_rounds(folder)), "", (), str(waiting))
     _write_notebook(folder, rig, so_far, ended, after)
@@ -198,7 +200,7 @@ def investigate(
 
 def _require_observed(design: Design) -> None:
     """Raise RigError for a machine that cannot be investigated."""
-    require_one_hand(design.mechanism, "an investigation is")
+    require_single_hand_mechanism(design.mechanism, "an investigation is")
     if len(design.mechanism.stages) != 1:
         raise RigError(
             "an investigation requires a platform on struts or an arm, not a mechanism of kind "
@@ -253,7 +255,7 @@ def _look(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[Investi
 
 def _diagnose(out: Path, rig: InvestigatedRig, number: int, so_far: Sequence[InvestigationRound]) -> None:
     """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
-    minutes = recording_minutes_spent(so_far) + duration_of_plan_in_minutes(plan_path(out, number))
+    minutes = recording_minutes_spent(so_far) + minutes_of_plan_file_with_setting_up(plan_path(out, number))
     left = max(rig.options.budget - minutes, 0.1)
     words = [
         "diagnose",
@@ -298,5 +300,5 @@ def _write_notebook(
     if so_far:
         name = rig.path.resolve().parent.name if rig.path.name == "rig.toml" else rig.path.stem
         budget = rig.options.budget
-        write_text(out / "notebook.md", notebook_text(name, so_far, budget, ended, after))
+        write_text(out / "notebook.md", investigation_notebook_markdown(name, so_far, budget, ended, after))
         write_investigation_page(out / "notebook.html", name, so_far, budget, ended, after)

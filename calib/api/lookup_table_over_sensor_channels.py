@@ -17,8 +17,8 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
+from rig.recording.corner_and_pose_csv_tables import COVARIANCE_COLUMNS, POSE_COLUMNS
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import COVARIANCE_COLUMNS, POSE_COLUMNS
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 
 PARTS = ("position", "rotation")
@@ -94,7 +94,7 @@ class LookupTable:
         return math.ceil(self.poses * (self.uncertainty[k] ** 2 - rest**2) / (wanted**2 - rest**2) - ROUNDING)
 
 
-def correction_lookup_table(
+def corrected_command_lookup_table(
     calibration: Calibration, wanted: WantedPoses, channels: Mapping[str, Sequence[float]]
 ) -> LookupTable:
     """LookupTable of a calibration for wanted poses.

@@ -9,23 +9,26 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.certification import (
+    loop_closure_checks_of_redundant_measuring_limbs,
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+)
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.online.accepted_limbs_file import Accepted
+from calib.online.accepted_measuring_limbs_file import Accepted
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
-from rig.model.mechanisms.best_six_legs_and_loop_closures import (
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import (
     LegClosures,
     RedundantLegs,
-    best_six_legs,
+    best_six_leg_indices,
     combine_leg_sets,
     leg_closures,
     leg_lengths_and_pose_and_base_jacobians,
 )
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
+from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import write_table
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 EXACT = 1e-7  # m, of a commanded length: controllers resolve steps, and a calibration's scatter may be none
@@ -138,7 +141,7 @@ def close_loops(recording: Recording, options: LoopClosureOptions = LoopClosureO
     chosen = (
         _leg_numbers(options.use, legs)
         if options.use is not None
-        else best_six_legs(legs, leg_closures(legs, lengths, first).T_base_platform)
+        else best_six_leg_indices(legs, leg_closures(legs, lengths, first).T_base_platform)
     )
     return LoopClosureResult(legs, leg_closures(legs, lengths, chosen), frames, chosen, options.use is not None)
 
@@ -147,9 +150,9 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     machine, stated = (
         require_hexapod(recording.design.mechanism),
-        measuring_limb_identification_and_agreement.stated_limbs(recording.design),
+        measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(recording)
+    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]
@@ -162,7 +165,10 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
         struts = ("l", fitted, np.hypot(calibration.scatter, EXACT), calibration.covariance)
         commanded = commanded - calibration.correction.rho(commanded)
     if options.limbs is not None:
-        limbs = ("m", *redundant_limb_checks.limbs_sigmas_and_covariance(options.limbs.limbs, stated))
+        limbs = (
+            "m",
+            *loop_closure_checks_of_redundant_measuring_limbs.limbs_sigmas_and_covariance(options.limbs.limbs, stated),
+        )
     return combine_leg_sets([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 

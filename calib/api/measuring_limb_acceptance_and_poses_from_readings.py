@@ -10,14 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from calib.api.parameter_learning_pose_by_pose_from_recording import LearningResult, learn_from_samples
-from calib.api.recording_check_combination_and_view import refuse_unfit_recording
-from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
+from calib.api.recording_check_combination_and_view import refuse_unfit_recording_and_make_corner_check
+from calib.certification import (
+    loop_closure_checks_of_redundant_measuring_limbs,
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+)
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.measuring_limb_identification_and_agreement import Agreement
+from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
 from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
-from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
-from calib.online.accepted_limbs_file import Accepted
+from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
+from calib.online.accepted_measuring_limbs_file import Accepted
 from calib.online.measuring_limb_poses_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
 from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
 from calib.samples.pose_samples import Sampled, sample_recording
@@ -29,9 +32,9 @@ from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import write_bytes
 from rig.model import mechanisms
 from rig.model.pose import rms_uncertainty
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
+from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
 from rig.recording.recording_folder import Recording, copy_frames_commands_and_sensors
-from rig.recording.recording_tables import Poses, write_poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pitch_yaw
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
@@ -123,7 +126,7 @@ class LimbAcceptance(OneLineRepr):
 
     def save(self, path: Path) -> None:
         """Save the limbs with their verdict, for LimbSource."""
-        accepted_limbs_file.save_limbs(path, self.accepted)
+        accepted_measuring_limbs_file.save_limbs(path, self.accepted)
 
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
@@ -147,43 +150,55 @@ def accept_limbs(
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
     design = recording.design
-    measuring_limb_identification_and_agreement.hexapod_of_six_limbs(
+    measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_identification_and_agreement.limb_readings_at_exposures(recording)
-    stated = measuring_limb_identification_and_agreement.stated_limbs(design)
+    frames, every = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
+    stated = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
-    sigma, home = (stated.length_sigma, measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design).home)
+    sigma, home = (
+        stated.length_sigma,
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design).home,
+    )
     chosen = (
-        redundant_limb_checks.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
+        loop_closure_checks_of_redundant_measuring_limbs.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
-    nominal = measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design, chosen)
-    samples = measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
+    nominal = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design, chosen)
+    samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )
-    T, expected = measuring_limb_identification_and_agreement.held_out_limb_poses(samples, nominal, sigma)
-    found = measuring_limb_identification_and_agreement.limb_agreement(
+    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(
+        samples, nominal, sigma
+    )
+    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
         samples.T_base_platform, T, expected, options.tolerance
     )
     six = replace(
-        measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen
+        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, sigma)[0],
+        chosen=chosen,
     )
     both = every[np.searchsorted(frames, samples.frame)]
-    limbs = replace(six, checks=redundant_limb_checks.fit_redundant_limb_checks(six, stated, both))
+    limbs = replace(
+        six, checks=loop_closure_checks_of_redundant_measuring_limbs.fit_redundant_limb_checks(six, stated, both)
+    )
     source = calibration_provenance(recording, options.arguments, 0, by_vision.source == "images")
     accepted = Accepted(limbs, nominal, found, None, source)
-    slipped = measuring_limb_identification_and_agreement.detect_limb_slip(samples, limbs, sigma)
+    slipped = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = (
             f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: "
             "it slipped"
         )
-        accepted = accepted_limbs_file.withdraw_acceptance(accepted, str(recording.folder), slipped.frame, reason)
-    error, check_sigma = redundant_limb_checks.held_out_check_errors(limbs, stated, both)
+        accepted = accepted_measuring_limbs_file.withdraw_acceptance(
+            accepted, str(recording.folder), slipped.frame, reason
+        )
+    error, check_sigma = loop_closure_checks_of_redundant_measuring_limbs.held_out_redundant_limb_errors_and_sigma(
+        limbs, stated, both
+    )
     return LimbAcceptance(recording, by_vision, accepted, stated.channels, error, check_sigma)
 
 
@@ -219,7 +234,7 @@ class MeasuredLimbPoses(OneLineRepr):
         recording, found = self.recording, self.poses
         write_bytes(folder / "rig.toml", read_bytes(recording.folder / "rig.toml"))
         poses = Poses(found.frames, found.T_base_platform, found.covariance)
-        recording_tables.write_poses(folder / "poses.csv", poses)
+        corner_and_pose_csv_tables.write_poses(folder / "poses.csv", poses)
         write_poses_as_roll_pitch_yaw(folder / "rpy.csv", poses)
         copy_frames_commands_and_sensors(recording.folder, folder, recording.exposures, recording.origin)
 
@@ -235,7 +250,7 @@ def measure_poses_by_limbs(
 
     Raises RigError for limbs that were not accepted, or with which vision no longer agrees
     """
-    refuse_unfit_recording(recording, anyway, notice)
+    refuse_unfit_recording_and_make_corner_check(recording, anyway, notice)
     return MeasuredLimbPoses(recording, *checked_limb_poses(recording, limbs, progress, notice))
 
 

@@ -66,7 +66,7 @@ class Experiment:
         return self.bits / self.minutes
 
 
-def available_plans(
+def available_experiment_plan_texts(
     allowed_actions: Sequence[str], must_stand_still: bool, turned_cubes: Sequence[str] = ()
 ) -> list[str]:
     """Texts of the plans available under what an owner allows.
@@ -329,7 +329,9 @@ def next_experiment(
     """
     if not questions:
         return NextExperiment((), (), {}, {}, design.mechanism.axes)
-    texts = available_plans(options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design)))
+    texts = available_experiment_plan_texts(
+        options.interventions(design), options.standing, tuple(quarter_turns_of_cubes(design))
+    )
     experiments, refused = ranked_experiments_and_excluded_plans(
         questions,
         design,

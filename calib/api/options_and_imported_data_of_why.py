@@ -11,7 +11,7 @@ from pathlib import Path
 from rig.api import import_recording, load
 from rig.errors import FileError, RigError
 from rig.formats.checked_entries import nearest_known_word
-from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
+from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options

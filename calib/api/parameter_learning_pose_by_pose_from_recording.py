@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from calib.api.recording_check_combination_and_view import refuse_unfit_recording
+from calib.api.recording_check_combination_and_view import refuse_unfit_recording_and_make_corner_check
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations, calibration_evidence
-from calib.diagnosis.physics_left_out_of_calibration import unexplained_findings_and_refutations
+from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import unexplained_findings_and_refutations
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import save_learner
 from calib.online.hexapod_information_filter import Online
 from calib.online.learning_from_recording import (
@@ -21,7 +21,7 @@ from calib.online.learning_from_recording import (
     learn_by_simple_learner,
     resume_or_start_learner,
 )
-from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_by_limbs
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
 from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_recordings
 from calib.samples.pose_samples import Sampled, sample_recording
@@ -143,7 +143,7 @@ def learn(
     progress : called with (label, done, of); notice : with what is found on the way, in words
     Raises RigError for a machine that cannot be learnt, for a state of another learner, and where no pose is left
     """
-    look = refuse_unfit_recording(recording, options.anyway, notice)
+    look = refuse_unfit_recording_and_make_corner_check(recording, options.anyway, notice)
     mechanism, calibration = require_axes(recording.design.mechanism), options.calibration
     name = options.learner or (FILTER if is_hexapod(mechanism) else OTHERS)
     _refuse_machine(recording, options, name)
@@ -152,7 +152,7 @@ def learn(
     sampler = (
         partial(sample_recording, recording, progress=progress, on_corners=look)
         if options.limbs is None
-        else partial(sample_by_limbs, recording, options.limbs, progress, notice)
+        else partial(sample_recording_by_checked_measuring_limbs, recording, options.limbs, progress, notice)
     )
     recording.commanded()  # a recording that nobody commanded is refused
     evidence = _calibration_evidence(recording, calibration, options.refutations)

@@ -17,11 +17,14 @@ from calib.api.plan_options_and_result import (
     SHOWN,
     PlanOptions,
     PlanResult,
-    geometry_and_excluded_configurations,
+    plan_geometry_and_exclusion_of_lost_poses,
 )
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
-from calib.diagnosis.effect_signal_to_noise_and_separation import Separation, effect_separation
+from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import (
+    Separation,
+    separation_of_two_effects_by_plan,
+)
 from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
 from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
 from calib.models.arm.pointing_terms import pointing_term_jacobian
@@ -41,10 +44,10 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.base_and_link_tilt_sensors import GRAVITY_SIGMA
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
@@ -165,7 +168,7 @@ def plan_for_parameters(design: Design, options: PlanOptions, progress: Progress
         raise RigError(f"plans for parameters require a commanded mechanism, not one of kind {mechanism.kind!r}")
     if not is_hexapod(mechanism):
         return _plan_of_any(design, mechanism, options, progress)
-    mechanism, avoided = geometry_and_excluded_configurations(options, require_hexapod(mechanism))
+    mechanism, avoided = plan_geometry_and_exclusion_of_lost_poses(options, require_hexapod(mechanism))
     chosen = choose_d_optimal_configurations(
         mechanism,
         options.count,
@@ -298,7 +301,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     (3, 6)
     """
     if options.parts is None:
-        require_one_hand(design.mechanism, "configurations are chosen")
+        require_single_hand_mechanism(design.mechanism, "configurations are chosen")
     if options.promise is not None:
         found = plan_keeping_promise(design, options.promise, options, progress)
     elif options.separate is not None:
@@ -314,7 +317,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
     if options.parts is None:  # visited straight, the outermost configurations are always reached from within
         lengths = balanced_approach_lengths(found.values, np.random.default_rng(SEED), strokes)
         if options.calibration is not None:
-            avoided = geometry_and_excluded_configurations(options, require_hexapod(design.mechanism))[1]
+            avoided = plan_geometry_and_exclusion_of_lost_poses(options, require_hexapod(design.mechanism))[1]
             while avoided is not None and (lost := avoided(found.values - lengths)).any():  # the goals are allowed
                 lengths[lost] /= 2
         reached_from = nearest_compatible_commands(found.values - lengths, design)
@@ -363,6 +366,8 @@ def _separations(design: Design, effects: list[Effect], options: PlanOptions) ->
         end = tried.commands.t[-1]
         sensors = options.log(end) if options.log is not None else Sensors(np.array([0.0, end]), {})
         with_payload = sensors_with_payload(tried, sensors)
-        found = effect_separation(text, design, tried.commands, tried.t, with_payload, effects, options.sigma)
+        found = separation_of_two_effects_by_plan(
+            text, design, tried.commands, tried.t, with_payload, effects, options.sigma
+        )
         out.append((found, tried))
     return out

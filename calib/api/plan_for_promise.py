@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.api.plan_options_and_result import SEED, PlanOptions, PlanResult, geometry_and_excluded_configurations
+from calib.api.plan_options_and_result import SEED, PlanOptions, PlanResult, plan_geometry_and_exclusion_of_lost_poses
 from calib.certification.platform_certification import Progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
 from calib.models.fewest_configurations import fewest_configurations
@@ -45,7 +45,7 @@ def plan_keeping_promise(design: Design, promise: float, options: PlanOptions, p
     """
     mechanism, avoided, sigma = require_axes(design.mechanism), None, options.sigma
     if is_hexapod(mechanism):
-        mechanism, avoided = geometry_and_excluded_configurations(options, require_hexapod(mechanism))
+        mechanism, avoided = plan_geometry_and_exclusion_of_lost_poses(options, require_hexapod(mechanism))
     elif options.calibration is not None:
         raise RigError("--calibration is for hexapods")
     elif (counts := visible_marker_counts(design)) is not None:

@@ -12,14 +12,14 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.models.platform.optimal_calibration_poses import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
-from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import are_nominal_poses_out_of_corrected_reach
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
+from rig.recording.corner_and_pose_csv_tables import write_configurations, write_table
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import write_configurations, write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import (
     Evidence,
@@ -149,7 +149,7 @@ class PlanResult(OneLineRepr):
         write_plan_page(path, file, self, links)
 
 
-def geometry_and_excluded_configurations(
+def plan_geometry_and_exclusion_of_lost_poses(
     options: PlanOptions, mechanism: Hexapod
 ) -> tuple[Hexapod, ConfigurationExclusion | None]:
     """Geometry for a plan, and the configurations excluded from it, by the calibration that its options name.
@@ -163,4 +163,4 @@ def geometry_and_excluded_configurations(
         raise RigError(
             f"{options.name} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod"
         )
-    return correction.fitted, partial(is_pose_lost, correction)
+    return correction.fitted, partial(are_nominal_poses_out_of_corrected_reach, correction)

@@ -34,7 +34,7 @@ from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_nonzero_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
@@ -45,20 +45,20 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
     require_parallel,
-    strut_length_jacobian,
+    strut_or_axis_jacobian_by_pose,
 )
 from rig.model.pose import adjoint, exp
 from rig.recording.combined_recordings import is_measured_by_instrument
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording, RecordingPart
-from rig.recording.recording_tables import Corners
 from rig.report.pages.page_templates_and_index_page import Link
 from vision.checks import find_corner_mistakes
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
-    make_corner_mistake_refusal,
+    make_corner_check_raising_on_severe_mistakes,
     recorded_or_sampled_corners,
-    refuse_mistakes,
-    refuse_mistakes_in_files_and_images,
+    require_no_severe_mistakes_and_notice_others,
+    require_no_severe_mistakes_in_files_and_images,
     unevenly_placed_cubes_remarks,
 )
 from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable
@@ -142,7 +142,7 @@ def _solved(
     T, p = samples.T_base_platform, len(start)
     parts = int(number.max()) + 1
     later = parts - first
-    A = strut_length_jacobian(T, m)
+    A = strut_or_axis_jacobian_by_pose(T, m)
     C = loop_covariance(A, samples.covariance)
     W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
     moved = np.zeros((*A.shape[:2], later, 6))
@@ -222,7 +222,7 @@ def check_and_combine_recordings(
     """
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if len(every) == 1:
-        recording, look = every[0], refuse_unfit_recording(every[0], ignore_mistakes, notice)
+        recording, look = every[0], refuse_unfit_recording_and_make_corner_check(every[0], ignore_mistakes, notice)
         if (
             are_base_and_tool_frames_unknown(recording.design.instrument, recording.design.mechanism)[0]
             and recording.poses is not None
@@ -232,7 +232,7 @@ def check_and_combine_recordings(
         return PreparedRecording(recording, look, False)
     require_combinable(every)
     for recording in every:
-        look = refuse_unfit_recording(recording, ignore_mistakes, notice)
+        look = refuse_unfit_recording_and_make_corner_check(recording, ignore_mistakes, notice)
         corners = recorded_or_sampled_corners(recording)
         if corners is not None:
             look(corners)
@@ -267,18 +267,22 @@ def check_and_combine_recordings(
     return PreparedRecording(recording, lambda corners: None, True)
 
 
-def refuse_unfit_recording(recording: Recording, anyway: bool, notice: Notice) -> Callable[[Corners], None]:
+def refuse_unfit_recording_and_make_corner_check(
+    recording: Recording, anyway: bool, notice: Notice
+) -> Callable[[Corners], None]:
     """Refuse a recording with spoilt files or poses.
 
     Returns the check that refuses its corners once read
     """
-    refuse_mistakes_in_files_and_images(recording, anyway, notice)
+    require_no_severe_mistakes_in_files_and_images(recording, anyway, notice)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
-        refuse_mistakes(pose_mistakes(recording), anyway, notice)
-    return make_corner_mistake_refusal(recording, anyway, notice)
+        require_no_severe_mistakes_and_notice_others(
+            find_mistakes_between_poses_and_commands(recording), anyway, notice
+        )
+    return make_corner_check_raising_on_severe_mistakes(recording, anyway, notice)
 
 
-def pose_mistakes(recording: Recording) -> tuple[Mistake, ...]:
+def find_mistakes_between_poses_and_commands(recording: Recording) -> tuple[Mistake, ...]:
     """Mistakes that poses.csv and commands.csv show of each other."""
     from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes, find_mistakes_of_several_hands
 
@@ -315,7 +319,7 @@ def check(path: Path | str, detect: bool = False) -> CheckResult:
     recording, files = load_and_check_recording_files(Path(path))
     if recording is None:
         return files
-    found = [*files.found, *pose_mistakes(recording)]
+    found = [*files.found, *find_mistakes_between_poses_and_commands(recording)]
     corners = recording.corners
     if recording.has_images and (corners is None or detect):
         from vision.checks.image_sample_corners_and_dictionary_mistakes import image_sample_corners_and_mistakes
@@ -362,7 +366,7 @@ def view(
     Raises RigError for a frame or an effect that the recording cannot have, FileError for a picture's unknown format
     """
     if options.frame is not None:
-        from vision.frame_pictures import measure_and_draw_frame, save_pictures_side_by_side
+        from vision.measured_frame_drawings_and_frame_jpegs import measure_and_draw_frame, save_pictures_side_by_side
 
         pictures, measured = measure_and_draw_frame(recording, options.frame, options.enlarge, progress)
         return tuple(save_pictures_side_by_side(path, pictures, measured).splitlines())

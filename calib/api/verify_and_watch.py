@@ -26,10 +26,10 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
-from calib.certification.internal_strut_forces import strut_conflict
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.drift import change_evidence_and_sentences
-from calib.drift.change_evidence_and_sentences import Verdict as ChangeVerdict
+from calib.certification.redundant_strut_length_conflict_causing_internal_forces import strut_conflict
+from calib.drift import machine_change_hypotheses_verdict_and_sentences
+from calib.drift.machine_change_hypotheses_verdict_and_sentences import Verdict as ChangeVerdict
 from calib.drift.visit_history import History, add_visit_and_judge_change
 from calib.drift.visits_page import (
     Visit,
@@ -48,10 +48,10 @@ from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
-from rig.formats.pandas_tables import DataFrame, pandas_table_of_errors
+from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table_of_errors
 from rig.model.pose import rms_uncertainty
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Poses
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refutation, State, Verdict, result_html
 
@@ -291,7 +291,7 @@ def watch(
         entries.append(_tree(change, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
         visit = Visit(history.visits[-1].name, change, (), scale, found)
         names = [one.name for one in history.visits for _ in range(one.visits)]
-        lines = change_evidence_and_sentences.change_verdict_lines(
+        lines = machine_change_hypotheses_verdict_and_sentences.change_verdict_lines(
             change, visit.name, names, history.reference, scale, visit.allowed
         )
         seen.append(replace(visit, lines=lines))

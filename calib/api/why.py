@@ -29,7 +29,7 @@ from calib.models.arm.certification import CertifiedArm
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
@@ -278,7 +278,7 @@ def why(
     with tempfile.TemporaryDirectory(prefix="rig-why-") as scratch:
         results = Path(scratch) if folder is None else folder
         recording, assumed = recording_and_whether_noise_is_assumed(data, options, results, notice)
-        require_one_hand(recording.design.mechanism, "rig why answers")
+        require_single_hand_mechanism(recording.design.mechanism, "rig why answers")
         _require_commands(recording, data)
         diagnosed = diagnose(recording, DiagnoseOptions(anyway=options.anyway), progress, notice)
         diagnosis = results / "diagnosis"

@@ -13,7 +13,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.files import calibration_file
 from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
-from calib.workspace.workspace_map_and_lost_poses import (
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import (
     COLUMNS,
     Workspace,
     certified_cell_promises,
@@ -28,7 +28,7 @@ from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms
-from rig.recording.recording_tables import write_table
+from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice

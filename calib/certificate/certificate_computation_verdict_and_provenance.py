@@ -12,8 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certificate import certificate_sentences
-from calib.certificate.certificate_contents import CertifyOptions, Contents, measured_volume, measuring_conditions
+from calib.certificate import certificate_sentences_and_quantity_texts
+from calib.certificate.certificate_contents import (
+    CertifyOptions,
+    Contents,
+    measuring_conditions,
+    ranges_of_measured_positions_rotations_and_axes,
+)
 from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
@@ -67,17 +72,17 @@ class Certificate(OneLineRepr, Contents):
     """A certificate that a notebook shows in its own sentences; see Contents."""
 
     def __str__(self) -> str:
-        return certificate_sentences.promise_line(self)
+        return certificate_sentences_and_quantity_texts.promise_line(self)
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         return result_html(
             str(self),
             [
-                certificate_sentences.length_scale_line(self),
-                certificate_sentences.measured_volume_line(self),
-                *certificate_sentences.promise_basis_lines(self),
-                *certificate_sentences.conformity_lines(self),
+                certificate_sentences_and_quantity_texts.length_scale_line(self),
+                certificate_sentences_and_quantity_texts.measured_volume_line(self),
+                *certificate_sentences_and_quantity_texts.promise_basis_lines(self),
+                *certificate_sentences_and_quantity_texts.conformity_lines(self),
             ],
         )
 
@@ -115,7 +120,7 @@ def calibration_certificate(
         request,
         promise,
         promise_by_cell(poses, request.coverage, request.confidence, scale, units, rng),
-        measured_volume(poses, calibration.correction.nominal),
+        ranges_of_measured_positions_rotations_and_axes(poses, calibration.correction.nominal),
         repeatability,
         iso9283_accuracy_and_repeatability(poses, duty),
         iso230_axis_tests(calibration.correction, poses),
@@ -202,9 +207,9 @@ CHECK_PERIODICALLY = "Check periodically whether it is still valid: `rig watch c
 def certificate_verdict(certificate: Certificate) -> Verdict:
     """Verdict of a certificate: against its tolerances, or what it promises where there are none."""
     lines = (
-        certificate_sentences.conformity_lines(certificate)
+        certificate_sentences_and_quantity_texts.conformity_lines(certificate)
         if certificate.conformity
-        else [certificate_sentences.promise_line(certificate)]
+        else [certificate_sentences_and_quantity_texts.promise_line(certificate)]
     )
     known = Evidence("") if certificate.known is None else certificate.known
     verdicts = {k.verdict for k in certificate.conformity}

@@ -61,7 +61,7 @@ class Conditions:
     frame: str
 
 
-def measured_volume(poses: HeldPoses, mechanism: Commanded) -> Volume:
+def ranges_of_measured_positions_rotations_and_axes(poses: HeldPoses, mechanism: Commanded) -> Volume:
     """Volume in which the counted poses of HeldPoses were measured."""
     T = poses.T_base_platform[poses.first]
     places, commands = T.translation, poses.commanded[poses.first]

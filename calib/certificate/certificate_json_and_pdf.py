@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from calib.certificate import certificate_sentences
+from calib.certificate import certificate_sentences_and_quantity_texts
 from calib.certificate.certificate_computation_verdict_and_provenance import Certificate, certificate_verdict
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_errors import Figures
@@ -37,10 +37,10 @@ def certificate_dict(certificate: Certificate) -> Json:
     out = {
         "schema": SCHEMA,
         "statement": [
-            certificate_sentences.length_scale_line(certificate),
-            certificate_sentences.promise_line(certificate),
-            certificate_sentences.measured_volume_line(certificate),
-            *certificate_sentences.promise_basis_lines(certificate),
+            certificate_sentences_and_quantity_texts.length_scale_line(certificate),
+            certificate_sentences_and_quantity_texts.promise_line(certificate),
+            certificate_sentences_and_quantity_texts.measured_volume_line(certificate),
+            *certificate_sentences_and_quantity_texts.promise_basis_lines(certificate),
         ],
         "machine": certificate.machine,
         "promise": _promise_tree(certificate.promise),
@@ -230,11 +230,14 @@ def write_certificate_pdf(path: Path, certificate: Certificate) -> None:
 def _promise(paper: _Paper, c: Certificate, title: str) -> None:
     paper.line(title, 15, bold=True)
     paper.line(f"certificate {c.provenance['id']}", 7)
-    paper.line(certificate_sentences.length_scale_line(c))
-    paper.line(certificate_sentences.promise_line(c), 11, bold=True)
-    for line in (certificate_sentences.measured_volume_line(c), *certificate_sentences.promise_basis_lines(c)):
+    paper.line(certificate_sentences_and_quantity_texts.length_scale_line(c))
+    paper.line(certificate_sentences_and_quantity_texts.promise_line(c), 11, bold=True)
+    for line in (
+        certificate_sentences_and_quantity_texts.measured_volume_line(c),
+        *certificate_sentences_and_quantity_texts.promise_basis_lines(c),
+    ):
         paper.line(line)
-    for line in certificate_sentences.conformity_lines(c):
+    for line in certificate_sentences_and_quantity_texts.conformity_lines(c):
         paper.line(line, bold=True)
     figure, place = paper.drawn(0.2)
     axes = figure.add_axes(place)
@@ -264,7 +267,7 @@ def _promise(paper: _Paper, c: Certificate, title: str) -> None:
 
 def _standards(paper: _Paper, c: Certificate) -> None:
     paper.head("ISO 9283")
-    paper.line(certificate_sentences.iso9283_line(c))
+    paper.line(certificate_sentences_and_quantity_texts.iso9283_line(c))
     if c.iso9283.repeated:
         paper.table(
             ("pose at, mm", "visits", "AP, um", "RP, um"),
@@ -284,7 +287,7 @@ def _standards(paper: _Paper, c: Certificate) -> None:
         paper.table(
             (
                 "axis",
-                *(name for name, _ in certificate_sentences.iso230_symbol_values(c.iso230[0])),
+                *(name for name, _ in certificate_sentences_and_quantity_texts.iso230_symbol_values(c.iso230[0])),
                 "u",
                 "positions",
                 "cycles",
@@ -294,7 +297,7 @@ def _standards(paper: _Paper, c: Certificate) -> None:
                     a.axis,
                     *(
                         "" if value is None else f"{value * 1e6:.1f}"
-                        for _, value in certificate_sentences.iso230_symbol_values(a)
+                        for _, value in certificate_sentences_and_quantity_texts.iso230_symbol_values(a)
                     ),
                     f"{a.u * 1e6:.1f}",
                     a.positions,
@@ -315,7 +318,7 @@ def _rest(paper: _Paper, c: Certificate) -> None:
                 row.of,
                 "not known" if row.position is None else f"{row.position * 1e6:.2f}",
                 "" if row.rotation is None else f"{row.rotation * 1e6:.2f}",
-                certificate_sentences.coverage_factor_text(row),
+                certificate_sentences_and_quantity_texts.coverage_factor_text(row),
                 row.kind,
             )
             for row in c.budget.rows

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certificate import certificate_sentences
+from calib.certificate import certificate_sentences_and_quantity_texts
 from calib.certificate.certificate_computation_verdict_and_provenance import Certificate, certificate_verdict
-from calib.certificate.certificate_sentences import micrometre_text
+from calib.certificate.certificate_sentences_and_quantity_texts import micrometre_text
 from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.array_and_json_types import Floats
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
-    folding_section_html,
+    collapsible_section_html,
     heading_html,
     note_html,
     paragraph_html,
@@ -175,10 +175,10 @@ def write_certificate_page(path: Path, certificate: Certificate, links: Sequence
 
 def _promise(c: Certificate) -> list[str]:
     lines = (
-        certificate_sentences.length_scale_line(c),
-        certificate_sentences.promise_line(c),
-        certificate_sentences.measured_volume_line(c),
-        *certificate_sentences.promise_basis_lines(c),
+        certificate_sentences_and_quantity_texts.length_scale_line(c),
+        certificate_sentences_and_quantity_texts.promise_line(c),
+        certificate_sentences_and_quantity_texts.measured_volume_line(c),
+        *certificate_sentences_and_quantity_texts.promise_basis_lines(c),
     )
     caption = (
         "Share of the held-out poses whose measured position error (µm) is no larger; dashed: the promise. Good: the "
@@ -192,7 +192,7 @@ def _against(c: Certificate) -> list[str]:
         return []
     return [
         heading_html("Against the tolerance"),
-        *map(paragraph_html, certificate_sentences.conformity_lines(c)),
+        *map(paragraph_html, certificate_sentences_and_quantity_texts.conformity_lines(c)),
         note_html(
             "One joint decision is made on all tolerances, from limits of 97.5 % confidence (guard bands, JCGM "
             "106): it is wrong in 2.5 % of "
@@ -245,7 +245,7 @@ def _floor(c: Certificate) -> list[str]:
 def _standards(c: Certificate) -> list[str]:
     parts = [
         heading_html("ISO 9283: pose accuracy AP and repeatability RP"),
-        paragraph_html(certificate_sentences.iso9283_line(c)),
+        paragraph_html(certificate_sentences_and_quantity_texts.iso9283_line(c)),
     ]
     if c.iso9283.repeated:
         rows = [
@@ -293,7 +293,7 @@ def _standards(c: Certificate) -> list[str]:
             a.axis,
             *(
                 f"{value * 1e6:.1f}" if value is not None else ""
-                for _, value in certificate_sentences.iso230_symbol_values(a)
+                for _, value in certificate_sentences_and_quantity_texts.iso230_symbol_values(a)
             ),
             f"{a.u * 1e6:.1f}",
             a.positions,
@@ -302,7 +302,7 @@ def _standards(c: Certificate) -> list[str]:
         )
         for a in c.iso230
     ]
-    names = [name for name, _ in certificate_sentences.iso230_symbol_values(c.iso230[0])]
+    names = [name for name, _ in certificate_sentences_and_quantity_texts.iso230_symbol_values(c.iso230[0])]
     return [
         *parts,
         table_html(
@@ -323,15 +323,15 @@ def _budget(c: Certificate) -> list[str]:
             row.of,
             NOT_KNOWN if row.position is None else f"{row.position * 1e6:.2f}",
             "" if row.rotation is None else f"{row.rotation * 1e6:.2f}",
-            certificate_sentences.coverage_factor_text(row),
+            certificate_sentences_and_quantity_texts.coverage_factor_text(row),
             row.kind,
             row.source,
         )
         for row in c.budget.rows
     ]
     lines = [
-        f"Commanded pose: {certificate_sentences.expanded_uncertainty_text(c.budget.machine)}",
-        f"a measured one: {certificate_sentences.expanded_uncertainty_text(c.budget.measuring)}",
+        f"Commanded pose: {certificate_sentences_and_quantity_texts.expanded_uncertainty_text(c.budget.machine)}",
+        f"a measured one: {certificate_sentences_and_quantity_texts.expanded_uncertainty_text(c.budget.measuring)}",
     ]
     return [
         heading_html("Uncertainty contributions (U, coverage 95 %)"),
@@ -380,7 +380,7 @@ def _conditions(c: Certificate) -> list[str]:
 def _origin(c: Certificate) -> list[str]:
     return [
         heading_html("Provenance"),
-        folding_section_html(
+        collapsible_section_html(
             "Hashes, versions, arguments", table_html(("what", "value"), rows_of_nested_dict(c.provenance))
         ),
     ]

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 
 from scipy.special import ndtri
 
-from calib.certificate import certificate_sentences
+from calib.certificate import certificate_sentences_and_quantity_texts
 from calib.certificate.certificate_computation_verdict_and_provenance import Certificate
 from calib.certification import uncertainty_budget
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, OPEN, Promise
@@ -59,7 +59,7 @@ class Interval:
 Uncertainty = Standard | Expanded | Interval | None  # None : of a number that is exact
 
 
-def si_element(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
+def dsi_xml_element_of_value(value: float, unit: str, uncertainty: Uncertainty) -> ET.Element:
     """D-SI XML element of a value.
 
     The element is si:real with its uncertainty, or si:constant of an exact value.
@@ -201,12 +201,12 @@ def _statements(part: ET.Element, c: Certificate) -> None:
     scale = _sub(part, "statement")
     _content(scale, "name", "scale")
     _sub(scale, "traceable", "false")
-    _content(scale, "declaration", certificate_sentences.length_scale_line(c))
+    _content(scale, "declaration", certificate_sentences_and_quantity_texts.length_scale_line(c))
     if c.conformity:
         found = _sub(part, "statement")
         _content(found, "name", " and ".join(f"conformity of {k.quantity}" for k in c.conformity))
         _sub(found, "norm", "JCGM 106:2012")
-        _content(found, "declaration", *certificate_sentences.conformity_lines(c))
+        _content(found, "declaration", *certificate_sentences_and_quantity_texts.conformity_lines(c))
         first = c.conformity[0]
         if first.verdict != OPEN:
             _sub(found, "conformity", "pass" if first.verdict == CONFORMS else "fail")
@@ -219,9 +219,9 @@ def _result(part: ET.Element, c: Certificate) -> None:
     _content(
         part,
         "description",
-        certificate_sentences.promise_line(c),
-        certificate_sentences.measured_volume_line(c),
-        *certificate_sentences.promise_basis_lines(c),
+        certificate_sentences_and_quantity_texts.promise_line(c),
+        certificate_sentences_and_quantity_texts.measured_volume_line(c),
+        *certificate_sentences_and_quantity_texts.promise_basis_lines(c),
     )
     methods = _sub(part, "usedMethods")
     for name, norm in (
@@ -241,7 +241,9 @@ def _result(part: ET.Element, c: Certificate) -> None:
         ("confidence", p.confidence, ONE, None),
         ("configurations", p.n, ONE, None),
     ]
-    _quantities(results, "promise", (certificate_sentences.promise_line(c),), [*_bounds(c, p), *exact])
+    _quantities(
+        results, "promise", (certificate_sentences_and_quantity_texts.promise_line(c),), [*_bounds(c, p), *exact]
+    )
     for k, cell in enumerate(c.cells):
         corners: list[Row] = [
             (f"{word} {axis}", value, METRE, None)
@@ -267,7 +269,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
             (f"{axis.positions} positions, {axis.cycles} cycles", "the uncertainty is that of one reading"),
             [
                 (name, value, UNITS[axis.unit], Standard(axis.u))
-                for name, value in certificate_sentences.iso230_symbol_values(axis)
+                for name, value in certificate_sentences_and_quantity_texts.iso230_symbol_values(axis)
             ],
         )
     totals = [
@@ -359,4 +361,4 @@ def _quantities(results: ET.Element, name: str, lines: Sequence[str], rows: Sequ
 def _quantity(data: ET.Element, label: str, value: float, unit: str, uncertainty: Uncertainty) -> None:
     quantity = _sub(data, "quantity")
     _content(quantity, "name", label)
-    quantity.append(si_element(value, unit, uncertainty))
+    quantity.append(dsi_xml_element_of_value(value, unit, uncertainty))

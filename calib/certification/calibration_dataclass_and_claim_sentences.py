@@ -7,24 +7,24 @@ import math
 from dataclasses import dataclass, replace
 
 from calib.certification.claim_verification import Verification
-from calib.certification.error_claim_over_workspace import Claim
+from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.certification.held_out_errors import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
-from calib.correction.physics_compensation import Physics
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     Confounds,
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,
 )
 from calib.samples.pose_samples import Sampled, Samples
-from calib.workspace.workspace_map_and_lost_poses import Workspace
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import number_text
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
-from rig.model.mechanisms.best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
+from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
@@ -107,13 +107,13 @@ def verification_line(held_out: HeldOut, claim: Claim | None, verification: Veri
     if not verification.parts:
         return f"{here}; nothing that was measured is claimed"
     return (
-        f"{here}; the claim is {claim_status_text(verification)} ({_claim_comparison_text(verification)})"
+        f"{here}; the claim is {claim_kept_or_exceeded_text(verification)} ({_claim_comparison_text(verification)})"
         + (f"; {verification.far}" if verification.far is not None else "")
         + explaining_rigid_motion_text(verification)
     )
 
 
-def claim_status_text(verification: Verification) -> str:
+def claim_kept_or_exceeded_text(verification: Verification) -> str:
     """Text of a claim's status.
 
     Kept or not kept.

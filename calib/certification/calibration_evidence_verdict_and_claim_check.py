@@ -17,7 +17,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import (
     refutation_sentence,
 )
 from calib.certification.claim_verification import Part, Verification, verify_claim
-from calib.certification.error_claim_over_workspace import Claim
+from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.certification.held_out_errors import HeldOut, pose_errors, predicted_poses
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
@@ -238,7 +238,7 @@ class AgainstClaim:
         }
 
 
-def check_claim_on_recording(
+def claim_verification_and_excess_errors_of_recording(
     calibration: Calibration, recording_name: str, samples: Samples, rng: np.random.Generator
 ) -> AgainstClaim | None:
     """Check of a calibration's claim on a recording's samples, None where no factor is claimed.

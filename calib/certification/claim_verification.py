@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.error_claim_over_workspace import Claim
+from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.certification.error_claim_over_workspace import (
+from calib.certification.claimed_error_reduction_over_workspace import (
     DRAWS,
     PLACES,
     Claim,
@@ -14,8 +14,8 @@ from calib.certification.error_claim_over_workspace import (
     Workspace,
     claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
-    mean_square_pose_errors_of_extension,
-    workspace_samples,
+    mean_square_pose_errors_stated_by_extension,
+    workspace_commands_and_corrected_poses,
 )
 from calib.certification.held_out_errors import (
     HeldOut,
@@ -29,31 +29,35 @@ from calib.certification.held_out_errors import (
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_travel_limits,
-    configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
+    time_block_folds_of_configurations,
 )
 from calib.certification.platform_certification import (
     FOLDS,
     SURELY,
     Certified,
     Progress,
-    certified_with_possible_machines,
+    draw_and_add_possible_machines,
+    draw_strut_deviation_sizes_beyond_geometry,
     silent_progress,
-    strut_deviation_sizes_of_samples,
     uncertified_geometry,
 )
-from calib.correction import interpolation_methods_and_interpolated_correction_summands
+from calib.correction import correction_field_methods_fitting_combination_and_json
 from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
-from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples, WeightedField
-from calib.correction.interpolation.gaussian_process import RadialMap
-from calib.correction.interpolation.interpolation_on_grid_of_samples import Grid, grid_lattice_of_configurations
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,
     residual_correction_summands_at_samples,
 )
+from calib.correction.interpolation.gaussian_process import RadialMap
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
+    Field,
+    FieldSamples,
+    WeightedField,
+)
+from calib.correction.interpolation.interpolation_on_grid_of_samples import Grid, grid_lattice_of_configurations
 from calib.models.platform.identification import (
     Identified,
     identify_platform,
@@ -130,7 +134,7 @@ def certify_extended_correction(
     sizes = (
         None
         if request.alone or label.max() + 1 < LEAST
-        else strut_deviation_sizes_of_samples(samples, uncertified_geometry(nominal, found, label), rng)
+        else draw_strut_deviation_sizes_beyond_geometry(samples, uncertified_geometry(nominal, found, label), rng)
     )
     report("fitting the geometry", 1, 1)
 
@@ -150,7 +154,7 @@ def certify_extended_correction(
     if field is not None:
         done = replace(done, found=_without(samples, nominal, found, field, request.alone))
     elif sizes is not None:  # the geometry as it is, of which more is known
-        return certified_with_possible_machines(samples, replace(done, left=None), sizes, rng), tried
+        return draw_and_add_possible_machines(samples, replace(done, left=None), sizes, rng), tried
     return _with_scatter(samples, done, rng), tried
 
 
@@ -166,11 +170,11 @@ def _with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -
         inverse_strut_length_jacobian(samples.T_base_platform, correction.fitted),
     )
     noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
-    part = configuration_folds(done.label, min(FOLDS, done.label.max() + 1))
+    part = time_block_folds_of_configurations(done.label, min(FOLDS, done.label.max() + 1))
     left = replace(done.left, parameters=mean_square_pose_errors_caused_by_parameters(J, found.covariance, noise, part))
-    commands, T = workspace_samples(correction)
+    commands, T = workspace_commands_and_corrected_poses(correction)
     back = inverse_strut_length_jacobian(T, correction.fitted)
-    stated = float(mean_square_pose_errors_of_extension(correction, commands, back)[0])
+    stated = float(mean_square_pose_errors_stated_by_extension(correction, commands, back)[0])
     own = np.sqrt(max(left.own(stated, rng)[0] - stated, 0.0) / (back[:, :3] ** 2).sum(axis=(1, 2)).mean())
     return replace(done, left=left, found=replace(found, scatter=np.maximum(found.scatter, own)))
 
@@ -193,7 +197,7 @@ def certify_interpolation_method(
     known, correct, stated_square = basis_of_samples(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
-    for name in interpolation_methods_and_interpolated_correction_summands.METHODS if kind == AUTO else (kind,):
+    for name in correction_field_methods_fitting_combination_and_json.METHODS if kind == AUTO else (kind,):
         progress(f"extending: {name}", 0, 1)
         try:
             fields[name] = fit_correction_summand_field(known, name)
@@ -280,7 +284,7 @@ def _splits(samples: Samples, label: Integers, nominal: Commanded) -> list[tuple
         return []
     found = grid_lattice_of_configurations(samples.commanded, axis_travel_limits(nominal))
     if found is None:
-        fold = configuration_folds(label, min(FOLDS, label.max() + 1))
+        fold = time_block_folds_of_configurations(label, min(FOLDS, label.max() + 1))
         return [(fold != k, fold == k) for k in np.unique(fold)]
     on = found.vertex >= 0
     if len(np.unique(label[~on])) >= LEAST:
@@ -370,9 +374,9 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
     commands, T = solvable_commands_and_poses(evenly_spread_configurations(correction.nominal, PLACES), correction)
     offset = pose_difference(T, kinematics.forward(commands, correction.nominal))
     stated = float(
-        mean_square_pose_errors_of_extension(correction, commands, inverse_strut_length_jacobian(T, correction.fitted))[
-            0
-        ]
+        mean_square_pose_errors_stated_by_extension(
+            correction, commands, inverse_strut_length_jacobian(T, correction.fitted)
+        )[0]
     )
     own = certified.left.own_draws(stated, DRAWS, rng) + draw_mean_square_common_pose_errors(samples, DRAWS, rng)
     known = certified.found.covariance  # of what an earlier pass left, where this one does not hold

@@ -153,10 +153,10 @@ def is_significant_gain(gain: Floats) -> bool:
 
     Beyond GAIN standard errors, autocorrelation included.
     """
-    return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / autocorrelation_factor(gain)))
+    return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / variance_inflation_by_autocorrelation(gain)))
 
 
-def autocorrelation_factor(series: Floats) -> float:
+def variance_inflation_by_autocorrelation(series: Floats) -> float:
     """Factor by which a series' (n,) autocorrelation raises its mean's variance.
 
     It is 1 + 2 x the sum of its first positive autocorrelations.
@@ -341,7 +341,7 @@ def _degrees_of_freedom(squares: Floats) -> float:
     """Degrees of freedom of the mean of squares (c,), in order of time, as they scatter and as neighbours say the
     same.
     """
-    variance = squares.var(ddof=1) / len(squares) * autocorrelation_factor(squares)
+    variance = squares.var(ddof=1) / len(squares) * variance_inflation_by_autocorrelation(squares)
     most = INDEPENDENT * len(squares)
     return float(np.clip(2 * squares.mean() ** 2 / max(variance, 1e-300), LEAST_FREEDOM, most))
 

@@ -53,7 +53,7 @@ def axis_travel_limits(mechanism: Parallel | Arm | Chain) -> Floats:
     return mechanisms.kinematics_of(mechanism).travel_ranges(mechanism)
 
 
-def configuration_folds(label: Integers, count: int) -> Integers:
+def time_block_folds_of_configurations(label: Integers, count: int) -> Integers:
     """Folds of configurations (n,): whole stretches in time, no configuration in two folds."""
     return time_block_folds(label.max() + 1, count)[label]
 

@@ -76,7 +76,7 @@ def fractional_count_beyond_upper_tolerance_limit(n: int, coverage: float, confi
     return n - min(rank_below_quantile(n, coverage, 1 - confidence), float(n))
 
 
-def count_beyond_lower_tolerance_limit(n: int, coverage: float, confidence: float) -> float | None:
+def fractional_count_beyond_lower_quantile_limit(n: int, coverage: float, confidence: float) -> float | None:
     """Number of n values at or beyond the lower limit, as a real number.
 
     None where n is too small.
@@ -119,7 +119,7 @@ def lower_confidence_limit_of_quantile(values: Floats, coverage: float = 0.95, c
     1 - coverage of the population lies beyond it, with `confidence`.
     """
     n = len(values)
-    k = count_beyond_lower_tolerance_limit(n, coverage, confidence)
+    k = fractional_count_beyond_lower_quantile_limit(n, coverage, confidence)
     return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
 
 
@@ -326,7 +326,7 @@ def tolerance_limits_of_true_errors(
         n, fractional_count_beyond_upper_tolerance_limit(n, coverage, confidence), coverage
     )
     high = _crossing(found, free, allowed, 1 - coverage, middle, True)
-    k = count_beyond_lower_tolerance_limit(n, coverage, confidence)
+    k = fractional_count_beyond_lower_quantile_limit(n, coverage, confidence)
     low = (
         0.0
         if k is None

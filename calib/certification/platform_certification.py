@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import (
+from calib.certification.claimed_error_reduction_over_workspace import (
     Claim,
-    draw_fit_variance_ratio,
+    draw_true_to_stated_pose_variance_ratio_of_fit,
     strut_machine_workspace_claim,
-    workspace_samples,
+    workspace_commands_and_corrected_poses,
 )
 from calib.certification.held_out_errors import (
     HeldErrors,
@@ -26,9 +26,9 @@ from calib.certification.held_out_errors import (
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_travel_limits,
-    configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
+    time_block_folds_of_configurations,
 )
 from calib.certification.possible_machine_draws import (
     COUNT,
@@ -36,8 +36,13 @@ from calib.certification.possible_machine_draws import (
     draw_possible_machines,
     draw_strut_deviation_sizes,
 )
-from calib.certification.strut_deviation_sizes_and_possible_machines import Machines
-from calib.correction.correction import AnyCorrection, Correction, calibrate_correction, identify_geometry
+from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
+from calib.correction.correction import (
+    AnyCorrection,
+    Correction,
+    fit_geometry_and_remainder_of_correction,
+    identify_geometry,
+)
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
@@ -123,8 +128,8 @@ def certify_platform(
     if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
         report("fitting the geometry", 1, 1)
         return first
-    sizes = strut_deviation_sizes_of_samples(samples, first, rng)
-    correction, found = calibrate_correction(
+    sizes = draw_strut_deviation_sizes_beyond_geometry(samples, first, rng)
+    correction, found = fit_geometry_and_remainder_of_correction(
         samples, nominal, geometry=alone, axes_with_remainder=sizes.of_place() > SURELY
     )
     report("fitting the geometry", 1, 1)
@@ -134,7 +139,7 @@ def certify_platform(
     def corrections(some: Samples) -> list[Correction[Parallel, Radial]]:
         known = identify_geometry(some, nominal, alone)
         return [
-            calibrate_correction(some, nominal, how, geometry=known)[0]
+            fit_geometry_and_remainder_of_correction(some, nominal, how, geometry=known)[0]
             for how in (("none", like) if any(like) else ("none",))
         ]
 
@@ -147,7 +152,7 @@ def certify_platform(
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if is_significant_gain(loss[0] - loss[1]):
             done = Certified(correction, found, label, compare_errors(before, more[0], covariance, rng, label[good]))
-    return certified_with_possible_machines(samples, done, sizes, rng)
+    return draw_and_add_possible_machines(samples, done, sizes, rng)
 
 
 def uncertified_geometry(nominal: Parallel, identified: Identified, label: Integers) -> Certified:
@@ -171,7 +176,7 @@ def held_out_errors_before_and_after_corrections(
     (n, 6) m and rad, fold by fold, on all cores.
     label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
     """
-    fold = configuration_folds(label, min(FOLDS, label.max() + 1))
+    fold = time_block_folds_of_configurations(label, min(FOLDS, label.max() + 1))
 
     def errors(k: int) -> list[Floats]:
         rest = samples.take(fold == k)
@@ -190,7 +195,7 @@ def held_out_errors_before_and_after_corrections(
     return out
 
 
-def strut_deviation_sizes_of_samples(
+def draw_strut_deviation_sizes_beyond_geometry(
     samples: Samples, geometry: Certified, rng: np.random.Generator
 ) -> StrutDeviationSizes:
     """Sizes of strut deviations of samples beyond a geometry alone, each visit a sample."""
@@ -205,14 +210,14 @@ def strut_deviation_sizes_of_samples(
     )
 
 
-def certified_with_possible_machines(
+def draw_and_add_possible_machines(
     samples: Samples, certified: Certified, strut_deviation_sizes: StrutDeviationSizes, rng: np.random.Generator
 ) -> Certified:
     """Certified platform with draws added of the machines that its samples leave possible."""
     correction, found = certified.correction, _each_configuration(samples, certified)[1]
-    noise = draw_fit_variance_ratio(found, correction.nominal, COUNT, rng)
+    noise = draw_true_to_stated_pose_variance_ratio_of_fit(found, correction.nominal, COUNT, rng)
     known = estimate_tolerance_of_stated_geometry(found, correction.nominal)
-    return add_machine_draws(
+    return certified_with_machine_draws_and_covariance(
         certified,
         draw_possible_machines(
             certified.found,
@@ -220,16 +225,16 @@ def certified_with_possible_machines(
             samples,
             strut_deviation_sizes,
             correction.nominal,
-            workspace_samples(correction)[0],
+            workspace_commands_and_corrected_poses(correction)[0],
             noise,
             rng,
         ),
     )
 
 
-def add_machine_draws(certified: Certified, machines: Machines) -> Certified:
+def certified_with_machine_draws_and_covariance(certified: Certified, machines: Machines) -> Certified:
     """Certified with machine draws about its correction added."""
-    places, T = workspace_samples(certified.correction)
+    places, T = workspace_commands_and_corrected_poses(certified.correction)
     covariance, struts = machines.second_moments(
         loop_closure_parameter_jacobian(T, certified.correction.fitted), certified.correction.rho(places)
     )
@@ -243,7 +248,7 @@ def certified_with_refitted_correction(
     moved = replace(certified, correction=correction, found=identified)
     if certified.machines is None:
         return moved
-    return add_machine_draws(
+    return certified_with_machine_draws_and_covariance(
         moved,
         certified.machines.moved(
             geometric_parameters(correction.fitted) - geometric_parameters(certified.correction.fitted)

@@ -21,7 +21,7 @@ from calib.certification.strut_deviation_covariance_functions import (
     candidate_covariance_functions_of_strut_deviations,
     scaled_commands,
 )
-from calib.certification.strut_deviation_sizes_and_possible_machines import (
+from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import (
     Closures,
     Machines,
     draw_strut_deviation_component_sizes,
@@ -37,7 +37,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     is_redundant,
     loop_closure_parameter_jacobian,
-    strut_length_jacobian,
+    strut_or_axis_jacobian_by_pose,
 )
 
 ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
@@ -227,7 +227,7 @@ class _Closures:
 
     def __init__(self, found: Identified, samples: Samples) -> None:
         T, self.fitted = samples.T_base_platform, found.mechanism
-        A = strut_length_jacobian(T, self.fitted)
+        A = strut_or_axis_jacobian_by_pose(T, self.fitted)
         self.D, self.common = loop_closure_parameter_jacobian(T, self.fitted), A @ samples.common
         self.left = samples.effective - mechanisms.kinematics_of(self.fitted).inverse(T, self.fitted)
         self.own = loop_covariance(A, samples.covariance)

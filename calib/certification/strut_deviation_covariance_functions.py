@@ -27,7 +27,9 @@ NOTHING = 1e-9  # of the greatest load, below which a strut is not loaded
 Use = Callable[[Floats], tuple[Floats, Floats]]
 
 
-def strut_load_signs(samples: Samples, nominal: Parallel) -> list[tuple[Floats, Use] | None]:
+def strut_load_signs_with_sign_mean_and_variance(
+    samples: Samples, nominal: Parallel
+) -> list[tuple[Floats, Use] | None]:
     """Signs (n,) of each strut's load at the samples.
 
     Positive where it pushes, each with a `Component.use` of it.
@@ -147,7 +149,7 @@ def candidate_covariance_functions_of_strut_deviations(
     whole = [_of_place(f"the configuration, over {length:g} half strokes", x, _whole(length)) for length in WHOLE]
     whole.append(_of_place("the configuration, in proportion", x, _linear(slice(None))))
     out = []
-    for i, side in enumerate(strut_load_signs(samples, nominal)):
+    for i, side in enumerate(strut_load_signs_with_sign_mean_and_variance(samples, nominal)):
         step = np.diff(x[:, i], prepend=x[0, i]) / (spread * np.sqrt(2))
         own = [
             replace(_line("the last step", 0.04, step), use=_stepped(i)),

@@ -18,7 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, Repeatability
 from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.formats.pandas_tables import DataFrame, pandas_table
+from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
 from vision.recording_adjustment import Measurement
@@ -107,7 +107,9 @@ def rms_position_and_rotation_uncertainty(covariance: Floats) -> tuple[float, fl
     return position, rotation
 
 
-def camera_and_lens_covariance(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[Floats, Floats] | None:
+def pose_covariances_by_cameras_and_by_lenses(
+    measured: Sequence[tuple[Samples, Measurement | None]],
+) -> tuple[Floats, Floats] | None:
     """Covariances (n, 6, 6) of poses by the uncertainty of cameras and of lenses.
 
     None without images.
@@ -167,7 +169,7 @@ def uncertainty_budget(
     returns = None if repeatability[0] is None else _alike(poses.errors, [repeatability[0], repeatability[1] or 0.0])
     place = np.pad(poses.T_base_platform.rotation.inv().apply(poses.T_base_platform.translation), ((0, 0), (0, 3)))
     datum = None if scale is None else scale**2 * place[:, :, None] * place[:, None, :]
-    parts = camera_and_lens_covariance(measured)
+    parts = pose_covariances_by_cameras_and_by_lenses(measured)
     cameras, lenses = (shared if shared.any() else None, None) if parts is None else parts
     whole = "images" if parts else "stated covariance of the poses, which does not separate cameras from lenses"
     rows = [

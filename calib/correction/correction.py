@@ -17,10 +17,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction.interpolation import gaussian_process
-from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
-from calib.correction.timed_command_sequence_and_pose_error_map import PoseMap
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import PoseMap
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )
@@ -41,7 +41,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Parallel,
     require_parallel,
-    strut_length_jacobian,
+    strut_or_axis_jacobian_by_pose,
 )
 
 ITERATIONS = 100
@@ -193,7 +193,7 @@ class Correction(Generic[M, R]):
         fitted = require_parallel(self.fitted)
         return Responses(
             inverse_strut_length_jacobian(T_base_platform, fitted),
-            strut_length_jacobian(T_base_platform, fitted),
+            strut_or_axis_jacobian_by_pose(T_base_platform, fitted),
             pose_parameter_jacobian(T_base_platform, fitted),
         )
 
@@ -205,7 +205,7 @@ class Correction(Generic[M, R]):
 
     def inverse(self, T_base_platform: RigidTransform) -> Floats:
         """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for
-        `require_reachable` to check.
+        `require_commands_in_axis_ranges` to check.
 
         Raises RigError where a calibration knows physics besides, NotConverged with index, commands and residual (m)
         where the fixed point is not found
@@ -302,7 +302,7 @@ def indices_and_poses_of_solvable_commands(
                 raise
 
 
-def require_reachable(commands: Floats, mechanism: Parallel | Arm | Chain, labels: Sequence[str]) -> None:
+def require_commands_in_axis_ranges(commands: Floats, mechanism: Parallel | Arm | Chain, labels: Sequence[str]) -> None:
     """Raise Unreachable where commands leave the mechanism's range.
 
     Every pose is listed whose commands (n, axes) m or rad do.
@@ -340,7 +340,7 @@ def identify_geometry(samples: Samples, nominal: Parallel, similar_fit: Identifi
     return identify_platform(samples, nominal, prior=similar_fit.prior, similar_fit=similar_fit)
 
 
-def calibrate_correction(
+def fit_geometry_and_remainder_of_correction(
     samples: Samples,
     nominal: Parallel,
     remainder: str | tuple[Radial | None, ...] = "find",

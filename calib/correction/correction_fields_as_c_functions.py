@@ -8,8 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.correction.interpolation.field_interface_and_combinations import Field, RestrictedMap, SummedPasses
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
+    Field,
+    RestrictedMap,
+    SummedPasses,
+)
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Grid
 from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
 from rig.array_and_json_types import Floats
@@ -89,7 +93,7 @@ def define_field_functions(tables: CTables, correction_field: Field) -> list[str
             name
             for part in correction_field.parts
             if part is not None
-            for name in gaussian_process_c_functions(tables, part)
+            for name in define_c_function_of_gaussian_process(tables, part)
         ]
     if isinstance(correction_field, RestrictedMap):
         return _restricted(tables, correction_field)
@@ -147,7 +151,7 @@ def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
     return [f"add_field_{number}"]
 
 
-def gaussian_process_c_functions(tables: CTables, part: Radial) -> list[str]:
+def define_c_function_of_gaussian_process(tables: CTables, part: Radial) -> list[str]:
     """C functions that add a Gaussian process (radial functions).
 
     Returns the name of the one; its samples and weights stand in a table

@@ -13,7 +13,7 @@ from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_length_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, strut_or_axis_jacobian_by_pose
 from rig.planning.configuration_generators import FILL, sobol_configurations
 
 # times the typical standard deviation; a direction of the axes that a pose determines worse than that, as of a wrist
@@ -44,7 +44,7 @@ def strut_correction_summands(samples: Samples, nominal: Parallel) -> Correction
 
     Commands less IK of the measured poses by the nominal model.
     """
-    A = strut_length_jacobian(samples.T_base_platform, nominal)
+    A = strut_or_axis_jacobian_by_pose(samples.T_base_platform, nominal)
     return CorrectionSummands(
         samples.commanded - mechanisms.kinematics_of(nominal).inverse(samples.T_base_platform, nominal),
         A @ samples.total_covariance() @ np.swapaxes(A, 1, 2),
@@ -103,7 +103,7 @@ def correction_summands_by_nearest_axis_values(
     )
 
 
-def correction_summand_table_rows(samples: Samples, summands: CorrectionSummands) -> Iterator[str]:
+def correction_summand_csv_rows(samples: Samples, summands: CorrectionSummands) -> Iterator[str]:
     """Rows of the table of correction summands (ksf.csv), one for each sample."""
     upper = np.triu_indices(summands.values.shape[1])
     for frame, x, k, C in zip(samples.frame, samples.commanded, *summands):

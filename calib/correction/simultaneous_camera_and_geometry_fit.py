@@ -29,7 +29,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import exp, skew
 from vision import lens
-from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
 from vision.corner_observations import Observations
 from vision.predict import State, base_points_in_camera_frame, iterate_observed_cameras, observed_points_base
 from vision.recording_adjustment import Measurement
@@ -100,7 +100,7 @@ def fit_cameras_and_geometry(
         for i, camera, rows in iterate_observed_cameras(observations, now):
             frame, on = observations.frame[rows], observations.on_platform[rows]
             ahead = base_points_in_camera_frame(base[rows], frame, now, i)
-            uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
+            uv, J_point, J_lens = lens.projected_pixels_and_jacobians(ahead, camera.matrix, camera.distortion)
             W = whitener[rows]
             residual[rows] = (W @ (observations.uv[rows] - uv)[..., None])[..., 0]
             J_point = W @ J_point

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import (
     NO_STATED_TERMS,
     C,
     NotTested,
@@ -18,14 +18,15 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     Site,
     StatedTerms,
 )
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.finding_removal_with_smooth_functions import (
+from calib.diagnosis.engine.forward_and_backward_term_selection import Selection, search_further_terms, select_terms
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
+from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
+from calib.diagnosis.engine.removal_of_findings_insignificant_beside_smooth_functions import (
     remove_findings_insignificant_with_smooth_functions,
 )
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
-from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
-from calib.diagnosis.engine.term_selection import Selection, search_further_terms, select_terms
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import Repeats, Suggestion
 from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize, EffectDetection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Evidence,
@@ -44,8 +45,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Tolerable,
     ToleratedFindings,
 )
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
-from calib.models.platform.identification import refuse_redundancy_without_followers
+from calib.models.platform.identification import require_followers_of_redundant_platform
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from calib.samples.pose_samples import Sampled
 from rig.effects.catalogue.effect_list import ALL, Plugin
@@ -163,7 +163,7 @@ def diagnose(
     measuring and calibrating raise
     """
     if is_parallel(recording.design.mechanism):
-        refuse_redundancy_without_followers(recording.design.mechanism)
+        require_followers_of_redundant_platform(recording.design.mechanism)
     requested = RequestedEffects.of(options.only, options.without, options.given, options.kinds)
     evidence = _measured_evidence(recording)(
         recording, requested, options.given, options.calibration, options.sampled, progress

@@ -33,9 +33,12 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 )
 from rig.model.pose import exp, log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import POSE_SCALE
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    normal_equations,
+    whitened_residuals_and_derivatives,
+)
 from vision.corner_observations import whitener_of_observations
 from vision.lens import lens_parameter_names
 from vision.predict import marker_map
@@ -137,7 +140,7 @@ def change_units(mechanism: Commanded) -> tuple[float, ...]:
     return (*(GAP,) * len(mechanism.axes), GROWTH, SOFT)
 
 
-def watched_machine(calibration: Calibration) -> Commanded:
+def require_watchable_calibrated_machine(calibration: Calibration) -> Commanded:
     """The machine with the geometry that a calibration fitted.
 
     Raises RigError for a platform on more than six struts and an arm with several hands.
@@ -154,7 +157,7 @@ def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransfor
     return calibration.correction.predict(samples.effective)
 
 
-def machine_change_columns(
+def pose_jacobian_by_machine_changes(
     mechanism: Commanded, design: Design, commands: Commands, t: Floats, T: RigidTransform
 ) -> Floats:
     """Columns (n, 6, axes + 2) of machine changes, in the order of `change_names`.
@@ -233,7 +236,7 @@ def visit_equations_and_reference(
     Raises RigError for another machine than the calibration's or other cameras and targets than the reference's, and
         what measuring raises
     """
-    mechanism = watched_machine(calibration)
+    mechanism = require_watchable_calibrated_machine(calibration)
     if recording.design.mechanism.kind != mechanism.kind:
         raise RigError(
             f"{recording.folder} is of a mechanism of kind {recording.design.mechanism.kind!r}, the "
@@ -345,7 +348,7 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
 
 def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibration: Calibration) -> Equations:
     """Equations of a visit in which poses (n,) follow from the machine, all to within what it repeats to."""
-    mechanism, samples = watched_machine(calibration), seen.samples
+    mechanism, samples = require_watchable_calibrated_machine(calibration), seen.samples
     n = 6 * len(samples)
     values, vectors = np.linalg.eigh(seen.information)
     held = values > SEEN * values[-1]
@@ -353,7 +356,7 @@ def _of_machine(seen: _Seen, T: RigidTransform, recording: Recording, calibratio
     if recording.commands is None:
         raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
     changed = (
-        machine_change_columns(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE
+        pose_jacobian_by_machine_changes(mechanism, recording.design, recording.commands, samples.t, T) / POSE_SCALE
     )  # its units are its own
     geometry = covariance_parameters(mechanism).jacobian(samples.effective, T)
     of_machine = np.concatenate([geometry, changed], axis=2).reshape(n, -1)

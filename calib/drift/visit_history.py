@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.drift.change_evidence_and_sentences import (
+from calib.drift.machine_change_hypotheses_verdict_and_sentences import (
     Verdict,
     change_hypotheses,
     change_verdict,
@@ -21,8 +21,8 @@ from calib.drift.change_evidence_and_sentences import (
 from calib.drift.visit_equations_and_reference import (
     Equations,
     Reference,
+    require_watchable_calibrated_machine,
     visit_equations_and_reference,
-    watched_machine,
 )
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
@@ -104,7 +104,7 @@ def add_visit_and_judge_change(
                 "is a new recording"
             )
     equations, reference = visit_equations_and_reference(recording, calibration, history.reference)
-    mechanism, before = watched_machine(calibration), [visit.equations for visit in history.visits]
+    mechanism, before = require_watchable_calibrated_machine(calibration), [visit.equations for visit in history.visits]
     constants = prior_information_of_constants_between_visits(reference, calibration.covariance, mechanism)
     if len(equations.right) != len(constants) or any(len(one.right) != len(constants) for one in before):
         raise RigError("the history has another number of unknowns than this calibration; begin a new history")

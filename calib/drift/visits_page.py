@@ -8,11 +8,11 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import refutation_sentence
 from calib.certification.claim_verification import Verification
-from calib.drift.change_evidence_and_sentences import ALARM
-from calib.drift.change_evidence_and_sentences import Verdict as Changes
+from calib.drift.machine_change_hypotheses_verdict_and_sentences import ALARM
+from calib.drift.machine_change_hypotheses_verdict_and_sentences import Verdict as Changes
 from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, Verdict, judge_evidence
 
 SHOWN = 8  # suspects
@@ -55,7 +55,7 @@ def write_visits_page(
     parts = [
         heading_html("Visit by visit"),
         captioned_html(
-            panel_row_html(*drawn),
+            figures_side_by_side_html(*drawn),
             "Agreement: deviation of each visit from the calibration over the measurement repeatability, which is 1. "
             f"Evidence: the alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or "
             "more. Good: dots near 1, the sum low. Bad: a rise that stays.",

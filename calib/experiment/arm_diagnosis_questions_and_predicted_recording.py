@@ -29,13 +29,13 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
     Part,
     linearise_planned_poses,
 )
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
-    group_sightings,
+    observations_grouped_into_sightings,
     remounted_cube_seats,
 )
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import (
@@ -56,8 +56,8 @@ from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp
 from rig.planning.plan import sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
-from rig.recording.recording_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
@@ -171,7 +171,10 @@ def predicted_operating_point(
         np.broadcast_to(sigma**2 * np.eye(2), (len(uv), 2, 2)).copy(),
     )
     return replace(
-        here, seen=group_sightings(observations_from_corners(corners, here.frames, here.stated, markers), markers)
+        here,
+        seen=observations_grouped_into_sightings(
+            observations_from_corners(corners, here.frames, here.stated, markers), markers
+        ),
     )
 
 

@@ -11,9 +11,9 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.diagnosis.engine.candidate_score import Alternative
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, C
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Alternative
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import PLATFORM, C
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from rig.array_and_json_types import Floats
 from rig.errors import RigError

@@ -99,7 +99,7 @@ def diagnosis_path(folder: Path, round_number: int) -> Path:
     return folder / f"diagnosis{round_number}"
 
 
-def duration_of_plan_in_minutes(plan: Path) -> float:
+def minutes_of_plan_file_with_setting_up(plan: Path) -> float:
     """Minutes that a plan takes.
 
     Raises FileError for what is no table in time.
@@ -150,7 +150,7 @@ def _look(folder: Path, number: int) -> InvestigationRound:
     return InvestigationRound(
         number,
         recording_path(folder, number).name,
-        duration_of_plan_in_minutes(plan_path(folder, number)),
+        minutes_of_plan_file_with_setting_up(plan_path(folder, number)),
         tuple(map(_title, findings)),
         tuple(title for title in map(_title, findings) if title not in doubtful),
         tuple(f"something at {f.text('place')}" + _of(f) for f in unknown),
@@ -171,7 +171,7 @@ def _of(finding: Entries) -> str:
     return f", correlated with {' and '.join(names)}" if names else ""
 
 
-def notebook_text(
+def investigation_notebook_markdown(
     rig: str, rounds: Sequence[InvestigationRound], budget: float, end_reason: str, final_action: Sequence[str]
 ) -> str:
     """Laboratory notebook of an investigation, as Markdown.
@@ -246,7 +246,7 @@ def write_investigation_page(
 ) -> None:
     """Write an investigation's HTML page.
 
-    rig, budget, end_reason, final_action : as of `notebook_text`
+    rig, budget, end_reason, final_action : as of `investigation_notebook_markdown`
     """
     parts = [
         heading_html("Odds"),

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.driving.run_journal import Ended, read_journal
-from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.run_journal import Ended, read_journal_rows_and_valid_length
+from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, quarter_turns_of_cubes
@@ -178,5 +178,5 @@ def _cube_text(cubes: dict[str, int]) -> str:
 
 def _done(journal: Path) -> bool:
     """Whether a run's journal says that it came to its end."""
-    rows, _ = read_journal(journal)
+    rows, _ = read_journal_rows_and_valid_length(journal)
     return bool(rows) and isinstance(rows[-1], Ended) and not rows[-1].reason

@@ -21,14 +21,14 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
     Sensitivities,
     effect_parameter_directions,
 )
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import remounted_cube_pose_nuisances
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     residual_change_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import WARM
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.arm_diagnosis_questions_and_predicted_recording import (

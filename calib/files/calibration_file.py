@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import Claim
+from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.platform_certification import Certified
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
     field_from_entries,
     field_to_dict,
     pose_map_dict,
 )
-from calib.correction.physics_compensation import Physics
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files.mechanism_and_physics_entries import (
     mechanism_dict,
     mechanism_from_entries,
@@ -40,10 +40,10 @@ from calib.models.chain.certification_and_page import CertifiedChain as ChainCer
 from calib.models.machine_models import calibration_with_workspace, model_of
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_from_entries, confounds_of_samples
 from calib.samples.pose_samples import Sampled
-from calib.workspace.workspace_map_and_lost_poses import workspace_dict, workspace_from_entries
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.formats import json_toml_and_yaml_loading, local_and_remote_input_files
 from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes

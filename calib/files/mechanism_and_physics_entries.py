@@ -12,17 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.correction.physics_compensation import Physics, Unknown
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics, Unknown
 from rig.array_and_json_types import Booleans, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import curve_classes_by_covariate
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.formats.checked_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
+from rig.formats.rig_toml.hexapod_and_two_strut_entries import follower_strut_numbers, stated_strut_count
 from rig.formats.rig_toml.mechanism_entries import (
     branch_and_hand_json,
     branches_of_tables,
@@ -30,7 +31,6 @@ from rig.formats.rig_toml.mechanism_entries import (
     hands_of_tables,
     mechanism_of_file,
 )
-from rig.formats.rig_toml.strut_entries import follower_strut_numbers, stated_strut_count
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Actuator, Platform

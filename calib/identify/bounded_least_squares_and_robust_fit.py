@@ -335,7 +335,7 @@ def tail_quantile_ratio_to_normal_within_gate(scaled_residuals: Floats, gate: fl
     return max(1.0, float(np.quantile(near, TAIL) / usual)) if len(near) else 1.0
 
 
-def has_several_deviating_numbers(scaled_residuals: Floats, gate: float) -> Booleans:
+def rows_with_several_deviating_or_one_gross_number(scaled_residuals: Floats, gate: float) -> Booleans:
     """Whether a row (n,) has several numbers that deviate, as a wrong pose has, or one grossly.
 
     scaled_residuals : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the

@@ -14,7 +14,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import mean_square_pose_errors_of_extension, workspace_samples
+from calib.certification.claimed_error_reduction_over_workspace import (
+    mean_square_pose_errors_stated_by_extension,
+    workspace_commands_and_corrected_poses,
+)
 from calib.certification.extended_correction_certification import ExtensionBasis, Tried, certify_interpolation_method
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
@@ -22,14 +25,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.certification.platform_certification import Certified, Progress, silent_progress
 from calib.correction.correction import AnyCorrection
-from calib.correction.interpolation.field_interface_and_combinations import (
-    Field,
-    FieldSamples,
-    RestrictedMap,
-    SpacePart,
-    SummedPasses,
-)
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_additional_pass,
     correction_with_pose_space_map,
     fit_correction_summand_field,
@@ -38,12 +34,24 @@ from calib.correction.interpolation_methods_and_interpolated_correction_summands
     residual_correction_summands_of_pass,
     residual_pose_tangents_of_pass,
 )
-from calib.correction.timed_command_sequence_and_pose_error_map import NAMES, PoseMap, PoseSpace, pose_coordinates
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
+    Field,
+    FieldSamples,
+    RestrictedMap,
+    SpacePart,
+    SummedPasses,
+)
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import (
+    NAMES,
+    PoseMap,
+    PoseSpace,
+    pose_coordinates,
+)
 from calib.models.arm.certification import CertifiedArm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import sample_observations
+from calib.models.arm.error_model_and_observations import observations_of_samples
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
-    evenly_spread_visited_configurations,
+    configurations_evenly_over_visited_joint_ranges,
     joint_correction_field_samples,
     unfitted_arm,
 )
@@ -74,7 +82,7 @@ STANDS = 1e-3  # m or rad; a coordinate in which an arm's or a chain's poses dif
 
 class CorrectionPass(NamedTuple):
     """What is asked of a pass. kind : one of `METHODS` of
-    calib.correction.interpolation_methods_and_interpolated_correction_summands, or AUTO; space : of SPACES;
+    calib.correction.correction_field_methods_fitting_combination_and_json, or AUTO; space : of SPACES;
     configurations : Part of the configuration space in which it holds, poses : Part of pose space, in the coordinates
     of the mechanism's poses; None for all of it."""
 
@@ -130,7 +138,7 @@ def certify_additional_pass(
             f"a map in pose space takes whole poses, and of these the {samples.measured} alone was measured; "
             "--space configuration takes them, onto a calibration without such maps"
         )
-    space = pose_space_of_samples(samples, correction) if by_pose else None
+    space = pose_space_of_additional_pass(samples, correction) if by_pose else None
     requested_pass = requested_pass._replace(poses=_part_of_pose_space(requested_pass.poses, correction.nominal, space))
     some = samples.take(_within(samples, correction, requested_pass, space))
     nominal, limits = correction.nominal, axis_travel_limits(correction.nominal)
@@ -173,7 +181,7 @@ def _certified(
     correction: Any = done.correction  # of any kind of machine
     fitted, scale = correction.fitted, _share_of_earlier_variance(samples, done, previous, rng)
     if isinstance(fitted, Arm):
-        found = unfitted_arm(sample_observations(_undone(samples, correction)), fitted)
+        found = unfitted_arm(observations_of_samples(_undone(samples, correction)), fitted)
         known = replace(found, covariance=scale * previous.covariance, scatter=np.sqrt(scale) * previous.scatter)
         return CertifiedArm(correction, known, done.label, done.held_out, None, None, done.left)
     if isinstance(fitted, Chain):
@@ -204,7 +212,7 @@ def _share_of_earlier_variance(
     commands, T = _workspace(samples, done.correction)
     was = float(np.trace(corrected_pose_covariance(previous, T, commands)[:, :3, :3], axis1=1, axis2=2).mean())
     jacobian = covariance_parameters(done.correction.fitted).axis_jacobian(commands, T)
-    stated = float(mean_square_pose_errors_of_extension(done.correction, commands, jacobian)[0])
+    stated = float(mean_square_pose_errors_stated_by_extension(done.correction, commands, jacobian)[0])
     moved = pose_difference(previous.correction.predict(commands), T)[:, :3]
     held = float(done.left.own(stated, rng)[0])
     now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
@@ -214,11 +222,11 @@ def _share_of_earlier_variance(
 def _workspace(samples: Samples, correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """(commands (m, axes) m or rad, their poses (m,)) over which a kind of machine's errors are compared."""
     if isinstance(correction, ArmCorrection):
-        q = evenly_spread_visited_configurations(correction)
+        q = configurations_evenly_over_visited_joint_ranges(correction)
         return q, correction.predict(q)
     if isinstance(correction.nominal, Chain):
         return chain_workspace_values_and_poses(correction, samples.commanded)
-    return workspace_samples(correction)
+    return workspace_commands_and_corrected_poses(correction)
 
 
 def residual_axis_summands(samples: Samples, correction: AnyCorrection) -> FieldSamples:
@@ -245,7 +253,7 @@ def _mean_square_axis_error(field: Field, at: Samples, nominal: Commanded) -> fl
     return float((J**2 @ (field.error(at.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 
-def pose_space_of_samples(samples: Samples, correction: AnyCorrection) -> PoseSpace:
+def pose_space_of_additional_pass(samples: Samples, correction: AnyCorrection) -> PoseSpace:
     """Pose space in which a pass maps what is left: of a machine on struts its own, about home; of an arm or a chain
     about the mean orientation of the samples, in the coordinates in which their poses differ.
 

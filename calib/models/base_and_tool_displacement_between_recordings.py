@@ -127,7 +127,7 @@ def _along(vector: Floats, covariance: Floats) -> float:
     return float(np.sqrt(vector @ covariance @ vector)) / size if size > greatest else greatest
 
 
-def placement_columns(predicted: RigidTransform, origin: Floats) -> Floats:
+def pose_jacobian_by_base_and_tool_placement(predicted: RigidTransform, origin: Floats) -> Floats:
     """Columns (n, 6, 12) of base and tool placement.
 
     Tangents of predicted poses (n,) per step of base and tool, in the predicted frames.
@@ -175,7 +175,7 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
     left = pose_to_vector(predicted.inv() * moved.T_base_platform)[:, :rows]
     covariance = moved.total_covariance()[:, :rows, :rows] + np.diag(scatter[:rows] ** 2)
     W = np.linalg.inv(np.linalg.cholesky(covariance))
-    W_columns = W @ placement_columns(predicted, placement.origin)[:, :rows]
+    W_columns = W @ pose_jacobian_by_base_and_tool_placement(predicted, placement.origin)[:, :rows]
     left = (W @ left[..., None])[..., 0]
     size = np.sqrt((left**2).mean(axis=1))
     weight = np.minimum(1.0, HUBER * max(1.0, float(np.median(size))) / np.maximum(size, 1e-12))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.models.arm.certification import start_arm_of_fit
-from calib.models.arm.error_model_and_observations import sample_observations
+from calib.models.arm.error_model_and_observations import observations_of_samples
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.models.base_and_tool_displacement_between_recordings import (
     LOOSE,
@@ -24,8 +24,8 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     estimate_placement,
     estimated_placement_parameter_mask,
     is_placement_significant,
-    placement_columns,
     placement_with_significant_displacements,
+    pose_jacobian_by_base_and_tool_placement,
     samples_as_measured_in_reference,
     target_poses_by_forward_kinematics,
 )
@@ -57,13 +57,13 @@ def _joined_in_reference(parts: Sequence[Samples], placements: Sequence[Placemen
         below = []
         if k:
             own = slice(12 * k - 12, 12 * k)
-            columns[..., own] = placement_columns(T, place.origin) * requested
+            columns[..., own] = pose_jacobian_by_base_and_tool_placement(T, place.origin) * requested
             if part.measured == "position":  # which stand in the frame of poses
                 columns[:, :3] = T.rotation.as_matrix() @ columns[:, :3]
         for stage in one.below:
             seen = np.zeros((len(part), 6, count))
             if k:
-                seen[..., own] = placement_columns(stage.T_base_stage, place.origin) * requested
+                seen[..., own] = pose_jacobian_by_base_and_tool_placement(stage.T_base_stage, place.origin) * requested
                 seen[..., own][..., 6:] = 0.0
             below.append(replace(stage, common=seen))
         moved.append(replace(one, common=columns, below=tuple(below)))
@@ -114,7 +114,7 @@ def _placed_geometry(samples: Samples, start: Arm | Chain, nominal: Arm | Chain)
     """_PlacedGeometry of samples, what they share solved for with the parameters. Raises what identifying raises."""
     if isinstance(start, Arm):
         assert isinstance(nominal, Arm)
-        seen = sample_observations(samples)
+        seen = observations_of_samples(samples)
         arm = identify_arm(seen, start, independent_arm_parameter_mask(nominal, seen.kind))
         W = np.linalg.inv(np.linalg.cholesky(seen.covariance + np.diag(arm.scatter**2)))[arm.inliers]
         columns = np.concatenate([seen.jacobian(arm.arm)[..., arm.rank.free], seen.common], axis=2)[arm.inliers]
@@ -150,7 +150,7 @@ def remove_base_and_tool_displacement(recording: Recording) -> tuple[Recording, 
     assert isinstance(nominal, (Arm, Chain))
     machine: Arm | Chain = nominal
     if isinstance(nominal, Arm):
-        machine = start_arm_of_fit(sample_observations(samples.take(number == 0)), nominal, design.instrument)
+        machine = start_arm_of_fit(observations_of_samples(samples.take(number == 0)), nominal, design.instrument)
     parts, scatter, ends = [samples.take(number == k) for k in range(number.max() + 1)], FIRST, (True, True)
     found = [_placement(one, machine, scatter, ends) for one in parts[1:]]
     found, fit = _placed_with_geometry(parts, found, machine, nominal)

@@ -14,12 +14,12 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import AnyCorrection, Correction
-from calib.correction.interpolation.field_interface_and_combinations import Field
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
     gaussian_process_from_entries,
     pose_map_from_entries,
 )
-from calib.correction.timed_command_sequence_and_pose_error_map import PoseMap
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import PoseMap
 from calib.models.arm import certification as arm_certification
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm import error_model_and_observations as arm_errors
@@ -29,7 +29,7 @@ from calib.models.arm.identification_and_joint_profiles import Profile
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
-from calib.workspace.workspace_map_and_lost_poses import map_workspace
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import map_workspace
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms

@@ -16,22 +16,27 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Responses
-from calib.correction.physics_compensation import (
+from calib.correction.physical_effects_of_calibration_and_their_compensation import (
     Machine,
     Physics,
     command_uncertainty_from_unknown_history,
     compensated_commands_at_poses,
     travel_until_earlier_path_is_forgotten,
 )
-from calib.correction.timed_command_sequence_and_pose_error_map import Pace, Route, timed_route, untimed_route
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import (
+    Pace,
+    Route,
+    timed_route,
+    untimed_route,
+)
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.protocols.poses_of_hexapod_controllers import PoseFrames
 from rig.effects.framework.effect import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
-from rig.model.mechanisms.best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
+from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.motion_simulation import motion_of_commands
 from rig.planning.plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
@@ -93,7 +98,7 @@ def commands_along_route(
         without a pace there is none
     commands_to_keep : (n, axes) m or rad to command at the poses as they are, for comparison, or None
     Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for
-        `require_reachable` to check
+        `require_commands_in_axis_ranges` to check
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
     plain = calibration.correction.inverse_without_physics(T) if commands_to_keep is None else commands_to_keep
@@ -232,7 +237,9 @@ def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]
 AGREED = 1e-9  # m, of the lengths that a commanded pose gives
 
 
-def poses_to_command(nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames) -> RigidTransform:
+def pose_commands_for_controller_with_own_kinematics(
+    nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames
+) -> RigidTransform:
     """Poses (n,) to command a controller that has its own kinematics.
 
     Its nominal kinematics then gives strut lengths (n, 6) m.

@@ -3,7 +3,8 @@
 Square-root form, 42 parameters, pose by pose, with change detection.
 
 Linearised at every pose about the estimate of the moment, the first poses once more about a later one, it ends where a
-batch of the same poses does. What changed (filter_kernels_and_change_detection.py) is told within three poses; the
+batch of the same poses does. What changed (information_filter_kernels_and_change_detection.py) is told within three
+poses; the
 filter then goes back
 to before it, opens what changed, and learns the poses since anew. A pose that disagrees is held until the next ones say
 whether it alone was wrong.
@@ -18,13 +19,20 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.models.platform.identification import PRIOR
-from calib.online import filter_state
-from calib.online.filter_kernels_and_change_detection import SUSPECT, WINDOW, Change, Machine, Pose, detect_changes
-from calib.online.filter_state import (
+from calib.online import information_filter_state_steps_and_json_file
+from calib.online.information_filter_kernels_and_change_detection import (
+    SUSPECT,
+    WINDOW,
+    Change,
+    Machine,
+    Pose,
+    detect_changes,
+)
+from calib.online.information_filter_state_steps_and_json_file import (
     RELINEARISED_AT,
     Start,
     State,
-    change_evidence,
+    evidence_of_changes_in_last_poses,
     initial_state,
     relinearised_state,
     state_of_new_session,
@@ -151,14 +159,17 @@ class Online:
 
     def save(self, path: Path | str) -> None:
         """Write the state, whole or not at all: the filter before its last poses, and those."""
-        filter_state.save_filter_state(
-            path, filter_state.Saved(self.start, self.scatter, self.state, self.held, self.number, frozenset(self.data))
+        information_filter_state_steps_and_json_file.save_filter_state(
+            path,
+            information_filter_state_steps_and_json_file.Saved(
+                self.start, self.scatter, self.state, self.held, self.number, frozenset(self.data)
+            ),
         )
 
     @classmethod
     def load(cls, path: Path | str) -> "Online":
         """The filter as saved. Raises FileError for a file that is missing, cut off, or none of these."""
-        saved = filter_state.load_filter_state(path)
+        saved = information_filter_state_steps_and_json_file.load_filter_state(path)
         made = cls(saved.start.nominal, 0, saved.scatter)
         made.start, made.state, made.held, made.number, made.data = (
             saved.start,
@@ -201,7 +212,7 @@ def _pose_update(before: State, waiting: tuple[Pose, ...], pose: Pose, start: St
         except RigError:  # with these changes the machine closes on no pose: they explain nothing, and the pose waits
             break
         changes += found
-        found, innovation = detect_changes(change_evidence(state)), state.innovation
+        found, innovation = detect_changes(evidence_of_changes_in_last_poses(state)), state.innovation
     if not changes and (waiting or state.square > SUSPECT):
         held = (*waiting, pose)
         if len(held) == WINDOW:  # nothing explains them: the oldest is given up
@@ -227,10 +238,10 @@ def _examined(state: State, start: Start) -> tuple[State, tuple[Change, ...]]:
     """(State, Changes that its last poses bear out); early on, when a pose may still move the estimate far, only once
     linearised there.
     """
-    found = detect_changes(change_evidence(state))
+    found = detect_changes(evidence_of_changes_in_last_poses(state))
     for _ in range(EARLY):
         if state.first is None or not (found or state.square > SUSPECT):
             break
         state = relinearised_state(state, start)
-        found = detect_changes(change_evidence(state))
+        found = detect_changes(evidence_of_changes_in_last_poses(state))
     return state, found

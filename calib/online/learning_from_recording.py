@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.covariance_parameters import covariance_parameters
-from calib.online.filter_kernels_and_change_detection import Change, change_sentence
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import LEARNERS, Learner, load_learner
 from calib.online.hexapod_information_filter import Online, Update
+from calib.online.information_filter_kernels_and_change_detection import Change, change_sentence
 from calib.report.online_learning_and_measuring_limb_pages import MANY, OnlineResult
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json

@@ -3,7 +3,8 @@
 Recorded or live, checked by redundant limbs and by vision.
 
 The limbs are learnt on as struts are, from vision's poses, beginning with what their acceptance knows: then what
-detects a strut that missed steps (filter_kernels_and_change_detection.py) detects a limb that slipped. One pose of
+detects a strut that missed steps (information_filter_kernels_and_change_detection.py) detects a limb that slipped.
+One pose of
 vision that agrees with nothing is vision's mistake; several in a row are not.
 
 Every few poses vision checks; where the struts tell otherwise than the limbs, in whatever pose, it looks at the next
@@ -17,12 +18,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
-from calib.certification.redundant_limb_checks import Limbs
-from calib.online import accepted_limbs_file
-from calib.online.accepted_limbs_file import Accepted
-from calib.online.filter_kernels_and_change_detection import Change
+from calib.certification import (
+    loop_closure_checks_of_redundant_measuring_limbs,
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+)
+from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
+from calib.online import accepted_measuring_limbs_file
+from calib.online.accepted_measuring_limbs_file import Accepted
 from calib.online.hexapod_information_filter import Online
+from calib.online.information_filter_kernels_and_change_detection import Change
 from calib.samples.pose_samples import Sampled, Samples, pair_commands_with_measured_poses
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
@@ -137,7 +141,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
 
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(recording)
+    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 
@@ -180,9 +184,13 @@ def check_limb_poses_by_redundancy_and_vision(
     """Check of limb poses by redundant limbs at each, and by vision at intervals, to the first disagreement.
     Raises what measuring raises
     """
-    open_ = redundant_limb_checks.first_unclosed_limb(accepted.limbs, poses.lengths)
+    open_ = loop_closure_checks_of_redundant_measuring_limbs.first_unclosed_limb(accepted.limbs, poses.lengths)
     if open_ is not None:
-        return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO))
+        return Checked(
+            0,
+            int(poses.frames[open_.at]),
+            Disagreement(str(open_), open_.limb, loop_closure_checks_of_redundant_measuring_limbs.WHO),
+        )
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
     look = np.arange(len(poses.frames)) % check_interval == 0
@@ -225,10 +233,16 @@ class LiveLimbPoses:
         """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of
         force. Raises as `pose`
         """
-        self._last = [*self._last[1 - redundant_limb_checks.IN_A_ROW :], lengths]
-        open_ = redundant_limb_checks.first_unclosed_limb(self.accepted.limbs, np.array(self._last))
+        self._last = [*self._last[1 - loop_closure_checks_of_redundant_measuring_limbs.IN_A_ROW :], lengths]
+        open_ = loop_closure_checks_of_redundant_measuring_limbs.first_unclosed_limb(
+            self.accepted.limbs, np.array(self._last)
+        )
         self.in_force = open_ is None
-        return None if open_ is None else Disagreement(str(open_), open_.limb, redundant_limb_checks.WHO)
+        return (
+            None
+            if open_ is None
+            else Disagreement(str(open_), open_.limb, loop_closure_checks_of_redundant_measuring_limbs.WHO)
+        )
 
     def is_check_due(self, unsure: bool) -> bool:
         """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than
@@ -263,7 +277,9 @@ class LimbSource:
     every: int = EVERY
 
 
-def sample_by_limbs(recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice) -> Sampled:
+def sample_recording_by_checked_measuring_limbs(
+    recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice
+) -> Sampled:
     """Sampled of a recording from its measuring limbs.
 
     Raises as `checked_limb_poses` does
@@ -284,7 +300,7 @@ def checked_limb_poses(
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no
         longer agrees: their acceptance is withdrawn in their file first
     """
-    accepted = accepted_limbs_file.load_accepted_limbs_for_design(source.path, recording.design)
+    accepted = accepted_measuring_limbs_file.load_accepted_limbs_for_design(source.path, recording.design)
     found = limb_poses(recording, accepted)
     checked = check_limb_poses_by_redundancy_and_vision(recording, accepted, found, source.every, progress)
     if checked.disagreement is not None and checked.frame is not None:
@@ -314,4 +330,6 @@ def write_acceptance_withdrawal(path: Path, accepted: Accepted, recording: str, 
 
     Raises FileError where that cannot be written.
     """
-    accepted_limbs_file.save_limbs(path, accepted_limbs_file.withdraw_acceptance(accepted, recording, frame, reason))
+    accepted_measuring_limbs_file.save_limbs(
+        path, accepted_measuring_limbs_file.withdraw_acceptance(accepted, recording, frame, reason)
+    )

@@ -14,9 +14,9 @@ from typing import Unpack
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.redundant_limb_checks import has_six_measuring_limbs
-from calib.online.filter_kernels_and_change_detection import change_sentence
-from calib.online.live_learner_and_run_state import (
+from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import has_six_measuring_limbs
+from calib.online.information_filter_kernels_and_change_detection import change_sentence
+from calib.online.live_learner_limb_watch_run_state_and_display import (
     Learner,
     Learnt,
     LimbWatch,
@@ -28,7 +28,7 @@ from calib.online.live_learner_and_run_state import (
 )
 from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import thousandths_name
+from rig.driving.axis_display_units_and_controller_counts import name_of_thousandth_of_axis_units
 from rig.driving.clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import (
@@ -43,7 +43,7 @@ from rig.driving.run_journal import (
     Resumed,
     Row,
 )
-from rig.driving.run_steps_and_progress import Step, step_distances
+from rig.driving.run_steps_from_plan_and_progress_from_journal import Step, longest_axis_distance_of_steps
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -85,7 +85,7 @@ class RunObserver:
         self.note: Callable[[str], None] = lambda text: (
             None
         )  # puts what is said on record; the operator's, once there is one
-        self._unit = thousandths_name(design.mechanism)
+        self._unit = name_of_thousandth_of_axis_units(design.mechanism)
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if has_six_measuring_limbs(design) else None
         self._read: Floats | None = None
@@ -94,7 +94,7 @@ class RunObserver:
             None
         )  # writes that they no longer do
         self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
-        self._begun, self._done, self._distances = clock.now(), 0, step_distances(planned, start)
+        self._begun, self._done, self._distances = clock.now(), 0, longest_axis_distance_of_steps(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
         speeds = np.array([speed if step.speed is None else step.speed for step in planned])
         self._travel, self._planned = self._distances / speeds, planned

@@ -10,40 +10,47 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_identification_and_agreement
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.online import accepted_limbs_file
-from calib.online.accepted_limbs_file import Accepted
-from calib.online.live_learner_and_run_state import Learner
+from calib.online import accepted_measuring_limbs_file
+from calib.online.accepted_measuring_limbs_file import Accepted
+from calib.online.live_learner_limb_watch_run_state_and_display import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, LiveLimbPoses, write_acceptance_withdrawal
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.driving.axis_units_and_distances import thousandths_name
+from rig.driving.axis_display_units_and_controller_counts import name_of_thousandth_of_axis_units
+from rig.driving.axis_driver import Driver
 from rig.driving.cameras import open_camera
-from rig.driving.cameras.camera_interface_and_user_cameras import SynchronisedCameras, set_exposure_for_markers
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
+    SynchronisedCameras,
+    set_exposure_for_markers,
+)
 from rig.driving.clock import Clock
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.move_profiles_and_path_check import TimedShares, trapezoidal_profile
-from rig.driving.operator_readings import ReadingForm, reading_sizes
-from rig.driving.run_steps_and_progress import Step
-from rig.driving.strut_driver import Driver
-from rig.driving.user_classes_and_sensor_reader import open_sensors
+from rig.driving.readings_entered_by_operator_during_run import ReadingForm, permitted_figure_counts_of_reading
+from rig.driving.run_steps_from_plan_and_progress_from_journal import Step
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensor_reader
 from rig.errors import RigError
 from rig.formats.numbers_and_units import SI, LengthAndAngleUnits
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, is_hexapod, require_axes
-from rig.recording.recording_tables import Corners
+from rig.recording.corner_and_pose_csv_tables import Corners
 from vision.corner_observations import observations_from_corners
 from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
-from vision.predict import marker_map, markers_expected_in_image
+from vision.predict import expected_marker_rows_and_corners_in_image, marker_map
 from vision.reading.live_measurement_and_corner_refit import Live
-from vision.reading.parallel_image_map_and_marker_rendering import marker_white_level, render_marker_images, save_image
+from vision.reading.parallel_image_map_marker_rendering_and_white_level import (
+    marker_white_level,
+    render_marker_images,
+    save_image,
+)
 from vision.recording_adjustment import has_hand_cameras
 
 ALARMS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
@@ -100,8 +107,8 @@ class RunOptions:
         """The limbs that stand for vision, None where none do. Raises RigError where nothing reads them."""
         if self.limbs is None:
             return None
-        found = accepted_limbs_file.load_accepted_limbs_for_design(self.limbs.path, design)
-        channels = measuring_limb_identification_and_agreement.stated_limbs(design).channels
+        found = accepted_measuring_limbs_file.load_accepted_limbs_for_design(self.limbs.path, design)
+        channels = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
                 f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}"
@@ -176,7 +183,7 @@ def _compile_images(design: Design, m: Hexapod) -> None:
 def _compile_poses(design: Design, m: Hexapod) -> None:
     """Compile what makes poses of corners, and what learns from poses."""
     markers = marker_map(design)
-    seen = [(camera, markers_expected_in_image(camera, m.home, markers)) for camera in design.cameras]
+    seen = [(camera, expected_marker_rows_and_corners_in_image(camera, m.home, markers)) for camera in design.cameras]
     rows, names = np.concatenate([rows for _, (rows, _) in seen]), [c.name for c, (rows, _) in seen for _ in rows]
     corners = Corners(
         np.zeros(4 * len(rows), int),
@@ -223,7 +230,7 @@ def open_sensors_and_assemble_equipment(
 
     Raises RigError for settling by limbs that nobody reads.
     """
-    sensing = open_sensors(design.sensors, clock) if design.sensors else None
+    sensing = open_sensor_reader(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
         raise RigError("settling by limbs takes a [sensors] table with the channels m1 .. m6")
@@ -238,10 +245,10 @@ def open_sensors_and_assemble_equipment(
         sensing.read if sensing else None,
         sensing.limbs if sensing else None,
         interval,
-        ReadingForm(require_axes(design.mechanism), units, reading_sizes(design.instrument))
+        ReadingForm(require_axes(design.mechanism), units, permitted_figure_counts_of_reading(design.instrument))
         if settling.by == "ask"
         else None,
-        thousandths_name(design.mechanism),
+        name_of_thousandth_of_axis_units(design.mechanism),
     )
 
 
@@ -262,7 +269,7 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
     return profile
 
 
-def set_exposures(
+def set_camera_exposures_and_report_lines(
     shutter: SynchronisedCameras, design: Design, stated_exposure: float | None, previous_exposures: dict[str, float]
 ) -> tuple[dict[str, float], list[str]]:
     """Set exposures of all cameras.

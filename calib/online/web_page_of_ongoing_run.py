@@ -10,18 +10,21 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.online.live_learner_and_run_state import MeasuredFrame, RunState
+from calib.online.live_learner_limb_watch_run_state_and_display import MeasuredFrame, RunState
 from calib.online.observer_of_run_frames import RunObserver
-from calib.report.pose_and_effect_figures import closed_outline_sorted_by_angle, fixed_rig_lines
+from calib.report.pose_and_effect_figures import (
+    closed_outline_sorted_by_angle,
+    drawn_lines_of_base_targets_and_camera_sights,
+)
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.driving.axis_units_and_distances import SHOWN
+from rig.driving.axis_display_units_and_controller_counts import SHOWN
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.model.design import Camera, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
-from vision.frame_pictures import encode_jpeg
+from vision.measured_frame_drawings_and_frame_jpegs import encode_jpeg_reduced_to_page_width
 from vision.predict import MarkerMap, marker_map
 
 OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
@@ -69,7 +72,7 @@ class RunPage:
         self._shown: MeasuredFrame | None = None
         self._pictured: RecordedFrame | None = None
         self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
-        self._fixed = fixed_rig_lines(self._design, self._markers)
+        self._fixed = drawn_lines_of_base_targets_and_camera_sights(self._design, self._markers)
 
     def __enter__(self) -> "RunPage":
         return self
@@ -131,7 +134,7 @@ class RunPage:
 
 def _jpegs(shot: RecordedFrame) -> dict[str, Callable[[], bytes]]:
     """{camera: makes its JPEG}."""
-    return {name: partial(encode_jpeg, frame.image) for name, frame in shot.frames.items()}
+    return {name: partial(encode_jpeg_reduced_to_page_width, frame.image) for name, frame in shot.frames.items()}
 
 
 def _pictures(shot: RecordedFrame, design: Design) -> Json:

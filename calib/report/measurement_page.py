@@ -18,7 +18,7 @@ from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
-    folding_section_html,
+    collapsible_section_html,
     heading_html,
     list_html,
     note_html,
@@ -27,13 +27,13 @@ from rig.report.pages.html_and_svg_elements import (
 )
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
-from vision import frame_pictures
+from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
+from vision import measured_frame_drawings_and_frame_jpegs
 from vision.api import TWICE, MeasurementResult, measurement_verdict
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import HeldOut, NotHeldOut
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import UnknownName
 from vision.bundle.marker_displacements import Places
-from vision.bundle.unknowns_estimate_and_printing_errors import UnknownName
-from vision.reading.marker_identity_and_expected_places import Suspect
+from vision.reading.marker_identity_mistakes_and_expected_marker_places import Suspect
 from vision.recording_adjustment import Measurement
 
 ENLARGED = 200.0
@@ -41,7 +41,7 @@ ENLARGED = 200.0
 
 def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: int) -> list[str]:
     """HTML of the images of a frame; nothing where the recording has corners alone."""
-    images = frame_pictures.frame_jpegs(recording, frame)
+    images = measured_frame_drawings_and_frame_jpegs.frame_jpegs(recording, frame)
     if not images:
         return []
     figures = [
@@ -51,7 +51,7 @@ def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: 
     ]
     return [
         captioned_html(
-            panel_row_html(*figures),
+            figures_side_by_side_html(*figures),
             "Outlined in green: markers used; in red: at least one corner rejected. Yellow: residuals (px), "
             f"{ENLARGED:g} times as long as they are. Point at a marker to see its number. Good: few red outlines, "
             "yellow lines in all directions. Bad: yellow lines of one marker that all point the same way.",
@@ -177,7 +177,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         rows = [row[:4] for row in collected.left_out]
         parts += [
             heading_html("Markers read but not located"),
-            folding_section_html(f"{len(rows)} of them", table_html(("frame", "camera", "marker", "reason"), rows)),
+            collapsible_section_html(f"{len(rows)} of them", table_html(("frame", "camera", "marker", "reason"), rows)),
         ]
     title, verdict = f"Measurement of {result.recording.name}", measurement_verdict(result)
     write_page(
@@ -232,7 +232,7 @@ def _pictures(result: MeasurementResult) -> list[str]:
         return []
     rest = (
         [
-            folding_section_html(
+            collapsible_section_html(
                 f"The frame with the greatest residuals, {bad}", *_frame_pictures_html(result.recording, m, bad)
             )
         ]
@@ -243,7 +243,7 @@ def _pictures(result: MeasurementResult) -> list[str]:
 
 
 def _residual_maps(m: Measurement) -> str:
-    return panel_row_html(*(_residual_map(m, i) for i in range(len(m.design.cameras))))
+    return figures_side_by_side_html(*(_residual_map(m, i) for i in range(len(m.design.cameras))))
 
 
 def _residual_map(m: Measurement, i: int) -> str:
@@ -265,7 +265,7 @@ def _residual_map(m: Measurement, i: int) -> str:
 
 
 def _uncertainty(m: Measurement, position: Floats, rotation: Floats) -> str:
-    return panel_row_html(
+    return figures_side_by_side_html(
         *(
             plot_panel_svg(
                 name,

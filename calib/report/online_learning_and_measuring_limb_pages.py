@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
-from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES, Agreement
+from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.formats.numbers_and_units import count_text
@@ -24,7 +24,7 @@ from rig.report.pages.html_and_svg_elements import (
     table_html,
 )
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import AGREES, Evidence, MissingEvidence, Verdict, judge_evidence
 
 MANY = 6  # changes beyond which they are not believed to be steps
@@ -61,7 +61,7 @@ def write_online_page(path: Path | str, name: str, result: OnlineResult, links: 
     parts = [
         heading_html("Innovation of each pose"),
         captioned_html(
-            panel_row_html(innovation),
+            figures_side_by_side_html(innovation),
             "Deviation from the prediction by previous poses, in standard deviations, RMS over its coordinates. Good: "
             "a fall to the line at 1, where nothing remains to be learnt. Bad: a sudden rise; something jumped.",
         ),
@@ -168,7 +168,7 @@ def write_measuring_limbs_page(
     parts = [
         heading_html("Agreement of each axis with its tolerance"),
         captioned_html(
-            panel_row_html(*halves),
+            figures_side_by_side_html(*halves),
             "95 % of the differences, limbs minus vision, lie within these limits (µm, µrad), beside the tolerance. "
             "Good: every bar is shorter than its tolerance. Bad: longer bars; names of such axes are bold.",
         ),

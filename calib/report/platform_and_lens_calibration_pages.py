@@ -31,7 +31,7 @@ from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
-    folding_section_html,
+    collapsible_section_html,
     heading_html,
     list_html,
     note_html,
@@ -42,7 +42,7 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_3d_scripts_if_needed
 from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated
 
@@ -78,7 +78,7 @@ def write_platform_calibration_page(
         *workspace_section_html(calibration.workspace, "m"),
         heading_html("Parameters"),
         _combinations(calibration, identified),
-        folding_section_html("Every parameter's change", _parameters(calibration)),
+        collapsible_section_html("Every parameter's change", _parameters(calibration)),
     ]
     write_calibration_page_from_parts(path, recording, calibration, parts, links)
 
@@ -95,7 +95,7 @@ def write_calibration_page_from_parts(
     whole = [
         *parts,
         heading_html("Provenance"),
-        folding_section_html("Recording, versions, arguments", provenance_html(calibration)),
+        collapsible_section_html("Recording, versions, arguments", provenance_html(calibration)),
     ]
     title, scripts = f"Calibration from {recording.name}", view_3d_scripts_if_needed(whole)
     write_page(path, Page("calibrate", title, judged, whole, judged.next, links, scripts))
@@ -155,7 +155,7 @@ def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
     parts, seen = parameter_combinations_and_visibility(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not known") for part in parts]
-    return folding_section_html(
+    return collapsible_section_html(
         f"The {len(parts)} combinations determined by the poses, worst first (condition number {seen.condition:.0f})",
         table_html(("combination", "standard error from the poses alone, um"), rows),
     )
@@ -171,7 +171,7 @@ def _corrections(correction: Correction[Parallel, Radial], samples: Samples) -> 
     )
     modelled, commanded = correction.summand(samples.effective) * 1e3, samples.commanded
     places, units = mechanisms.axis_place_texts(correction.nominal), mechanisms.axis_units(correction.nominal)
-    return panel_row_html(
+    return figures_side_by_side_html(
         *(
             plot_panel_svg(
                 places[i],
@@ -200,7 +200,9 @@ def _left(samples: Samples, found: Identified) -> str:
     )
     noise = f"Two standard deviations of a measured pose are {2 * sigma:.1f} u{unit} in a {part}."
     looks = f"Good: dots around 0, nearly all within {2 * sigma:.1f} u{unit}. Bad: a trend, steps, or far dots."
-    return captioned_html(panel_row_html(*panels), f"What the correction leaves, in u{unit}. {noise} {looks}")
+    return captioned_html(
+        figures_side_by_side_html(*panels), f"What the correction leaves, in u{unit}. {noise} {looks}"
+    )
 
 
 def _parameters(calibration: Calibration) -> str:
@@ -275,7 +277,7 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
     parts = [
         heading_html("Residuals and uncertainty of the lens"),
         captioned_html(
-            panel_row_html(
+            figures_side_by_side_html(
                 _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
             ),
             "Residuals (px): red ones were rejected. Uncertainty: the standard uncertainty of a projected direction, "

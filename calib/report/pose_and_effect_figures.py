@@ -34,7 +34,7 @@ from rig.recording.recording_folder import Commands, Sensors
 from rig.report.pages import image_plane_and_3d_views
 from rig.report.pages.html_and_svg_elements import captioned_html
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, DrawnEffect, Quads, Scene, image_plane_figure
-from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
 from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
@@ -112,7 +112,9 @@ def pose_coverage_figures(pose_vectors: Floats) -> str:
         Series(np.arange(len(pose_vectors)), np.degrees(pose_vectors[:, 3 + k]), name, colour=k)
         for k, name in enumerate(("rx", "ry", "rz"))
     ]
-    panels = panel_row_html(*places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns))
+    panels = figures_side_by_side_html(
+        *places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns)
+    )
     return captioned_html(
         panels,
         (
@@ -133,7 +135,7 @@ def correction_error_figures(before: Floats, after: Floats, frames: Integers, po
         for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad"))
         if np.isfinite(after[:, part]).all()
     ]
-    panels = panel_row_html(
+    panels = figures_side_by_side_html(
         *(
             plot_panel_svg(
                 f"error of {label.partition(',')[0]}",
@@ -181,7 +183,7 @@ def rig_scene(
     m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
     base = platform = np.zeros((0, 3))
     moved = [] if markers is None else [_face(markers, int(k)) for k in np.flatnonzero(markers.on_platform)]
-    fixed, links = fixed_rig_lines(design, markers), None
+    fixed, links = drawn_lines_of_base_targets_and_camera_sights(design, markers), None
     if m.strut_joints is not None:
         base, platform = m.strut_joints
     elif m.axes and values is not None:
@@ -227,7 +229,7 @@ def _cross() -> list[Json]:
     return [{"kind": "plate", "points": np.outer([-REACH / 2, REACH / 2], axis)} for axis in np.eye(3)]
 
 
-def fixed_rig_lines(design: Design, markers: MarkerMap | None) -> list[Json]:
+def drawn_lines_of_base_targets_and_camera_sights(design: Design, markers: MarkerMap | None) -> list[Json]:
     """Lines of the fixed parts of a rig.
 
     Base targets and camera sights.

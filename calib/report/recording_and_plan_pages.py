@@ -27,7 +27,7 @@ from rig.report.pages.html_and_svg_elements import captioned_html, heading_html,
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, State, Verdict, judge_evidence
 
 
@@ -161,7 +161,7 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
     T = mechanisms.kinematics_of(mechanism).forward(plan_result.values, mechanism)
     units = mechanisms.axis_units(mechanism)
     scales = [(1e3, "mm") if unit == "m" else (180 / np.pi, "degrees") for unit in units]
-    axes = panel_row_html(
+    axes = figures_side_by_side_html(
         *(
             plot_panel_svg(name, ("configuration", unit), [Series(n, plan_result.values[:, i] * scale)])
             for i, (name, (scale, unit)) in enumerate(zip(mechanisms.axis_place_texts(mechanism), scales))

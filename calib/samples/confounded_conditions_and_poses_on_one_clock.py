@@ -25,7 +25,11 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
 from rig.recording.recording_folder import PAYLOAD, Recording
-from vision.camera_and_command_clocks import Clocks, clocks_of_recording, recording_with_clocks
+from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
+    Clocks,
+    clock_offset_and_drive_lag_by_recording,
+    recording_with_clock_offset_and_lag_applied,
+)
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
 # share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
@@ -253,7 +257,9 @@ def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tupl
     """Clocks of a recording, estimated from Samples of its poses; () where these are not whole poses."""
     if samples.measured != "pose":
         return ()
-    return clocks_of_recording(recording, samples.frame, samples.T_base_platform, samples.covariance, samples.common)
+    return clock_offset_and_drive_lag_by_recording(
+        recording, samples.frame, samples.T_base_platform, samples.covariance, samples.common
+    )
 
 
 def recording_and_poses_on_commands_clock(
@@ -265,7 +271,7 @@ def recording_and_poses_on_commands_clock(
     """
     if not clocks:
         return recording, sampled
-    recording, s = recording_with_clocks(recording, clocks), sampled.samples
+    recording, s = recording_with_clock_offset_and_lag_applied(recording, clocks), sampled.samples
     frames, t, commanded = recording.commanded()
     at = np.searchsorted(frames, s.frame)
     samples = replace(

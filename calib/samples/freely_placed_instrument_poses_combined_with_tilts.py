@@ -19,12 +19,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.base_and_link_tilt_sensors import TiltReadings, linearised_tilts
+from rig.model.base_and_link_tilt_sensors import TiltReadings, tilt_residuals_and_jacobians
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_parallel, kinematics_of
 from rig.model.pose import adjoint, align_poses, exp, pose, pose_difference
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Poses
 
 ROUNDS = 5  # of linearising about the poses and the mounting, and of weighing readings
 GATE = 6.0  # standard deviations beyond which a reading is left out
@@ -149,7 +149,7 @@ def poses_with_platform_tilts(
     x, xi, many = np.zeros(len(prior)), np.zeros((n, 6)), len(readings.mounting_sigma)
     for _ in range(ROUNDS):
         R = (T * exp(xi)).rotation.as_matrix()
-        left, turns, columns = linearised_tilts(readings, np.repeat(R[:, None], s, axis=1), x[:many])
+        left, turns, columns = tilt_residuals_and_jacobians(readings, np.repeat(R[:, None], s, axis=1), x[:many])
         J = np.concatenate([np.zeros((n, 2 * s, 3)), (turns @ R[:, None]).reshape(n, 2 * s, 3)], axis=2)
         N = np.concatenate([columns.reshape(n, 2 * s, -1), J @ common], axis=2)
         r = left.reshape(n, 2 * s) + np.einsum("nij,nj->ni", J, xi) + columns.reshape(n, 2 * s, -1) @ x[:many]

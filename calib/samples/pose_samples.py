@@ -28,6 +28,7 @@ from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilt_sensors import TiltReadings, gravity_at_exposures
 from rig.model.design import Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links, nearest_reachable_poses
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.frame_selection_and_content_hashes import (
     hands_with_seen_targets,
     is_of_several_hands,
@@ -35,10 +36,9 @@ from rig.recording.frame_selection_and_content_hashes import (
     select_hand,
 )
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
 
 if TYPE_CHECKING:
-    from vision.reading.recording_corners import Collected
+    from vision.reading.corner_reading_from_recording_images import Collected
     from vision.recording_adjustment import Measurement
 
 

@@ -6,7 +6,7 @@ It writes the worked example's figures as SVG files.
 import sys
 from pathlib import Path
 
-from calib.two_strut.four_sample_example_and_figures import example_figures
+from calib.two_strut.two_strut_patent_example_and_figures import example_figures
 from rig.formats.output_files import write_text
 
 if len(sys.argv) != 2:

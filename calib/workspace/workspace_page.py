@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.workspace.workspace_map_and_lost_poses import SHORT, Workspace
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import SHORT, Workspace
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.formats.numbers_and_units import number_text
@@ -25,7 +25,7 @@ from rig.report.pages.html_and_svg_elements import (
     table_html,
 )
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import panel_row_html
+from rig.report.pages.plots import figures_side_by_side_html
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
@@ -171,7 +171,7 @@ def _cell_number_text(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 9.95 or value == 0 else f"{value:.1f}"
 
 
-def cell_views(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
+def workspace_cell_views_unit_and_svg(workspace: Workspace, quantity: Quantity) -> tuple[str, str]:
     """Views (unit, SVG) of a quantity over the workspace cells.
 
     From above (x, y) and from the side (x, z).
@@ -218,7 +218,7 @@ def _columns(w: Workspace, q: Quantity, across: int, up: int) -> tuple[Integers,
 
 def _titled_cells_html(workspace: Workspace, quantity: Quantity) -> list[str]:
     """HTML of a Quantity over the cells, with its name and what it is."""
-    unit, drawn = cell_views(workspace, quantity)
+    unit, drawn = workspace_cell_views_unit_and_svg(workspace, quantity)
     return [
         heading_html(quantity.name.capitalize(), 3),
         note_html(f"{quantity.title[0].upper()}{quantity.title[1:]}, {unit}"),
@@ -239,7 +239,7 @@ def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
     return [
         heading_html("The workspace"),
         captioned_html(
-            panel_row_html(*maps),
+            figures_side_by_side_html(*maps),
             (
                 "Cells of the workspace, seen from above and from the side; each map states its unit. Darker is more. "
                 "Good: pale and even. Bad: dark cells where the machine is used."
@@ -276,7 +276,9 @@ def write_workspace_page(
     first, *rest = workspace_lines(workspace, unit)
     parts = [
         captioned_html(
-            panel_row_html(*("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)),
+            figures_side_by_side_html(
+                *("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
+            ),
             f"Cells of {workspace.size * 1e3:.3g} mm, projected. Poses: all configurations of "
             "the strokes, all axes free of each "
             f"other; what depends on history, temperature and load is not in it. Room: of {margin_description}. Each "

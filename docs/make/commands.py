@@ -6,9 +6,9 @@
 import argparse
 
 from docs.make.field_texts import in_cell
-from rig.cli.command_execution import functions_of_command
-from rig.cli.command_list import GROUPS, STATUSES
-from rig.cli.shared.common_options import SHARED, add_worker_options
+from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command
+from rig.cli.command_names_groups_summaries_and_exit_statuses import GROUPS, STATUSES
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import SHARED, add_worker_options
 
 HEAD = """# The commands
 
@@ -25,7 +25,7 @@ def page() -> str:
     parts = [HEAD]
     for group, name, words in [(group, *entry) for group, commands in GROUPS.items() for entry in commands.items()]:
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
-        functions_of_command(name)[0](parser)
+        argument_adder_and_runner_of_command(name)[0](parser)
         if name in SHARED:
             add_worker_options(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())

@@ -19,8 +19,8 @@ from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod as kinematics
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod_or_redundant_hexapod
+from rig.recording.corner_and_pose_csv_tables import POSE_COLUMNS
 from rig.recording.recording_folder import Commands, Recording
-from rig.recording.recording_tables import POSE_COLUMNS
 
 LEAST = 6  # frames from which commands are held against poses
 AWAY = 6e-3  # m, RMS of what commands and poses disagree by, beyond which it is no calibration's matter

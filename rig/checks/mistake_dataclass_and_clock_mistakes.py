@@ -118,7 +118,9 @@ def _zone(shift: float) -> str:
     return ""
 
 
-def speed_mistakes(t: Floats, values: Floats, frames: Floats, unit: str, max_speed: float | None) -> Iterator[Mistake]:
+def implausible_axis_speed_and_frame_rate_mistakes(
+    t: Floats, values: Floats, frames: Floats, unit: str, max_speed: float | None
+) -> Iterator[Mistake]:
     """Mistakes of speed.
 
     Axis speeds above any plausible maximum, or frame rates; then times are in another unit.
@@ -204,7 +206,9 @@ class DwellShift:
     fewer: int
 
 
-def dwell_clock_shift(frames: Floats, t: Floats, values: Floats, need_distinct: bool = True) -> DwellShift | None:
+def clock_shift_putting_most_frames_into_dwells(
+    frames: Floats, t: Floats, values: Floats, need_distinct: bool = True
+) -> DwellShift | None:
     """Clock shift (DwellShift) that puts the most frames into dwells of the commands.
 
     None if none is distinct.
@@ -230,7 +234,7 @@ def dwell_clock_shift(frames: Floats, t: Floats, values: Floats, need_distinct: 
     return DwellShift(float(low + high) / 2, float(high - low) / 2, int(count[best]), fewer)
 
 
-def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
+def clock_offset_mistakes_of_frames_in_motion(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
     """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
 
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
@@ -242,7 +246,7 @@ def dwell_clock_offset_mistake(frames: Floats, t: Floats, values: Floats) -> Ite
     now = int(((row >= 0) & ((frames <= dwells[row, 1]) | (frames >= t[-1]))).sum())
     if now >= NOW * len(frames):
         return
-    found = dwell_clock_shift(frames, t, values)
+    found = clock_shift_putting_most_frames_into_dwells(frames, t, values)
     if found is None or abs(found.shift) <= LAG:
         return
     side = "behind" if found.shift > 0 else "ahead of"

@@ -14,8 +14,8 @@ from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms import best_six_legs_and_loop_closures
 from rig.model.mechanisms import hexapod as kinematics
+from rig.model.mechanisms import redundant_strut_best_six_legs_and_loop_closures
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, has_struts, is_redundant
 from rig.recording.recording_folder import Commands, Sensors
 
@@ -28,7 +28,7 @@ TON = 2000.0  # kg; no load of a platform on struts whose mass nobody states
 COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 
-def sensor_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
+def sensor_channel_unit_and_name_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
     """Mistakes in sensor channels of sensors.csv.
 
     Another unit, or exchanged names.
@@ -131,7 +131,7 @@ def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake
         )
 
 
-def environment_mistakes(design: Design) -> Iterator[Mistake]:
+def gravity_and_platform_mass_mistakes(design: Design) -> Iterator[Mistake]:
     """Mistakes in a design's environment: gravity of a wrong size or sign, a platform's mass in grams."""
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
@@ -195,7 +195,7 @@ def _planned_followers(q: Floats, hexapod: Hexapod) -> Iterator[Mistake]:
     lengths = q[np.linspace(0, len(q) - 1, min(len(q), LOOKED_AT)).astype(int)]
     try:
         apart = np.abs(
-            best_six_legs_and_loop_closures.incompatible_strut_length_component(
+            redundant_strut_best_six_legs_and_loop_closures.incompatible_strut_length_component(
                 kinematics.forward(lengths, hexapod), lengths, hexapod
             )
         ).max()

@@ -12,8 +12,8 @@ from math import degrees
 from pathlib import Path
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_option_values import parse_length
-from rig.cli.shared.common_options import add_json_option, print_json
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_length
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_json_option, print_json
 from rig.errors import RigError
 
 LEAVES = 1e-9  # m or rad of a pose, from which it is said
@@ -56,7 +56,7 @@ def run(arguments: Namespace) -> None:
     """
     from calib.api.arm_kinematics import ArmKinematics, load_kinematics
     from rig.formats import csv_and_parquet_tables_and_time_origin
-    from rig.recording import recording_tables
+    from rig.recording import corner_and_pose_csv_tables
 
     if arguments.spacing is not None and not arguments.steps:
         raise RigError("--spacing places the points that --steps prints; give --steps as well")
@@ -71,7 +71,7 @@ def run(arguments: Namespace) -> None:
         rows = csv_and_parquet_tables_and_time_origin.read_csv_table(arguments.forward, ("frame", *machine.axes))
         tree = machine.forward(rows.whole("frame"), rows.matrix(machine.axes), arguments.steps, arguments.trace)
     else:
-        poses = recording_tables.load_poses(arguments.inverse)
+        poses = corner_and_pose_csv_tables.load_poses(arguments.inverse)
         tree = machine.inverse(poses.frame, poses.T_base_platform, arguments.steps)
     if arguments.json:
         print_json(tree)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_option_values import parse_numbers, quantity_parser
-from rig.cli.shared.common_options import (
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_numbers, quantity_parser
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_option,
     add_overwrite_option,
     file_or_stdout,

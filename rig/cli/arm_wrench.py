@@ -9,7 +9,11 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    file_or_stdout,
+)
 from rig.formats.numbers_and_units import parse_number
 
 if TYPE_CHECKING:

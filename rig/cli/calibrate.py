@@ -10,9 +10,20 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, output_display
-from rig.cli.shared.argument_parser_and_option_values import parse_length, quantity_parser
-from rig.cli.shared.common_options import (
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_length, quantity_parser
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.input_file_options_and_loading import (
+    add_continue_despite_mistakes_option,
+    add_limb_options,
+    add_recording_argument,
+    add_recordings_argument,
+    limb_source,
+    notice_printing_function,
+    read_recording,
+    read_recordings,
+)
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_result_option,
     add_overwrite_option,
     add_page_option,
@@ -20,23 +31,12 @@ from rig.cli.shared.common_options import (
     page_links,
     page_path,
 )
-from rig.cli.shared.input_options import (
-    add_anyway_option,
-    add_limb_options,
-    add_recording_argument,
-    add_recordings_argument,
-    limb_source,
-    notice_printer,
-    read_recording,
-    read_recordings,
-)
-from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number
 
 if TYPE_CHECKING:
     from calib.api.calibrate import CalibrateOptions
-    from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
+    from calib.api.correction_extension_over_configuration_or_pose_space import ExtendOptions
     from calib.api.parameter_learning_pose_by_pose_from_recording import LearningResult, LearnOptions
     from calib.online.measuring_limb_poses_checked_by_vision import LimbSource
     from rig.array_and_json_types import Floats
@@ -66,7 +66,7 @@ def arguments(parser: ArgumentParser) -> None:
         "geometry; rig correct compensates them",
     )
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and include the effects found")
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -84,7 +84,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     add_limb_options(parser)
     add_overwrite_option(parser)
-    add_anyway_option(parser)
+    add_continue_despite_mistakes_option(parser)
     add_json_result_option(parser)
 
 
@@ -145,7 +145,7 @@ def run(arguments: Namespace) -> None:
     recordings, options = read_recordings(arguments), _options(arguments)
     from calib.api.calibrate import calibrate, has_axis_correction_summands
     from calib.files import calibration_file
-    from rig.cli.shared.measurement_and_calibration_summary import (
+    from rig.cli.shared.measurement_calibration_and_learning_summary_printing import (
         print_calibration,
         print_calibration_verdict_errors_and_corrections,
     )
@@ -158,7 +158,7 @@ def run(arguments: Namespace) -> None:
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if separate else None
     missing = arguments.out.with_name(f"{arguments.out.stem}.lost.csv")
     plan = arguments.outputs.file(missing) if options.extend is not None and page is not None else None
-    result = calibrate(recordings, options, progress, notice_printer(progress))
+    result = calibrate(recordings, options, progress, notice_printing_function(progress))
     calibration_file.write_calibration_json(out, result.calibration)
     if page:
         progress("drawing the page", 0, 1)
@@ -182,7 +182,7 @@ def _write_lost_vertices(plan: Path, path: Path, axes: tuple[str, ...], lost: Fl
 
     plan : where it is written until the command ends; path : where it will stand
     """
-    from rig.recording.recording_tables import write_configurations
+    from rig.recording.corner_and_pose_csv_tables import write_configurations
 
     if not len(lost):
         path.unlink(missing_ok=True)
@@ -198,7 +198,7 @@ def _options(arguments: Namespace) -> CalibrateOptions:
     return CalibrateOptions(
         arguments.diagnosis,
         arguments.find,
-        input_options.load_effect_files(arguments),
+        input_file_options_and_loading.load_effect_files(arguments),
         arguments.quick,
         arguments.joint,
         _extend_options(arguments),
@@ -221,7 +221,7 @@ def _extend_options(arguments: Namespace) -> ExtendOptions | None:
         if arguments.space or arguments.within:
             raise RigError("--space and --within apply to a pass; name with --onto its base")
         return None
-    from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
+    from calib.api.correction_extension_over_configuration_or_pose_space import ExtendOptions
     from calib.files import calibration_file
 
     onto = None if arguments.onto is None else calibration_file.load(arguments.onto)
@@ -247,7 +247,7 @@ def arguments_of_online(parser: ArgumentParser) -> None:
         "--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml"
     )
     add_page_option(parser)
-    add_anyway_option(parser)
+    add_continue_despite_mistakes_option(parser)
     _add_learner_options(parser)
     add_limb_options(parser)
     add_json_result_option(parser)
@@ -298,7 +298,7 @@ def run_online(arguments: Namespace) -> None:
     if arguments.state is not None:
         _write_kinematics_file(arguments.state, arguments, recording.design.mechanism)
     page, options = page_path(arguments), _learn_options(arguments, limbs)
-    result = learn(recording, options, progress, notice_printer(progress))
+    result = learn(recording, options, progress, notice_printing_function(progress))
     if state is not None:
         result.save(state)
     arguments.result = result.tree()
@@ -310,7 +310,7 @@ def run_online(arguments: Namespace) -> None:
 
 def _print_learnt(arguments: Namespace, result: LearningResult) -> None:
     """Print what was learnt, and where the state is."""
-    from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
+    from rig.cli.shared.measurement_calibration_and_learning_summary_printing import print_online_learning_result
 
     named = result.is_of_hexapod_filter
     written = [] if arguments.state is None else [f"written: {arguments.state}"]
@@ -330,7 +330,7 @@ def _learn_options(arguments: Namespace, limbs: LimbSource | None) -> LearnOptio
         arguments.state,
         None if start is None else calibration_file.load(start),
         str(start),
-        () if start is None else output_display.read_and_print_refutations(start),
+        () if start is None else escaped_output_progress_error_table_and_refutations.read_and_print_refutations(start),
         arguments.learner,
         getattr(arguments, SETTINGS.get(arguments.learner, ""), None),
         limbs,

@@ -12,9 +12,11 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import output_display
-from rig.cli.shared.argument_parser_and_option_values import parse_tolerance
-from rig.cli.shared.common_options import (
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_tolerance
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress, print_frames_without_pose
+from rig.cli.shared.input_file_options_and_loading import read_recording
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     SEED,
     add_hand_option,
     add_json_result_option,
@@ -25,8 +27,6 @@ from rig.cli.shared.common_options import (
     recording_of_chosen_hand,
     require_matplotlib,
 )
-from rig.cli.shared.input_options import read_recording
-from rig.cli.shared.output_display import Progress, print_frames_without_pose
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number
 from rig.report.verdict_refutations_and_result_display import exit_status
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 KINDS = (".json", ".html", ".pdf", ".xml")
 
 
-def parse_share(text: str) -> float:
+def parse_share_between_half_and_one(text: str) -> float:
     """Parse a share from 0.5 to 0.9999.
 
     Raises ArgumentTypeError
@@ -102,10 +102,18 @@ def arguments(parser: ArgumentParser) -> None:
         help="for acceptance, as 20um or 50urad",
     )
     parser.add_argument(
-        "--coverage", metavar="SHARE", type=parse_share, default=0.95, help="of poses that the promise covers (0.95)"
+        "--coverage",
+        metavar="SHARE",
+        type=parse_share_between_half_and_one,
+        default=0.95,
+        help="of poses that the promise covers (0.95)",
     )
     parser.add_argument(
-        "--confidence", metavar="SHARE", type=parse_share, default=0.95, help="with which it is met (0.95)"
+        "--confidence",
+        metavar="SHARE",
+        type=parse_share_between_half_and_one,
+        default=0.95,
+        help="with which it is met (0.95)",
     )
     parser.add_argument(
         "--scale-uncertainty",
@@ -162,9 +170,11 @@ def run(arguments: Namespace) -> int:
     source = certificate_provenance(arguments.calibration, calibration, recordings, arguments.argv, SEED)
     result = certify(calibration, recordings, options, refuted, source, str(arguments.calibration), progress)
     progress.close()
-    output_display.print_refutations(arguments.calibration, refuted)
+    escaped_output_progress_error_table_and_refutations.print_refutations(arguments.calibration, refuted)
     for name, sentence in result.refutations:
-        output_display.write_refutation(arguments, arguments.calibration, name, sentence)
+        escaped_output_progress_error_table_and_refutations.write_refutation(
+            arguments, arguments.calibration, name, sentence
+        )
     left_out = missing_matplotlib_reason() if suffix == "" else None
     if suffix and suffix not in result.kinds:
         raise RigError(f"{arguments.out}: a certificate of directions is written as {' or '.join(result.kinds)}")

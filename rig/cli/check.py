@@ -6,7 +6,7 @@ It prints them, the likeliest cause first.
 import argparse
 from pathlib import Path
 
-from rig.cli.shared.common_options import add_json_option, print_json
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_json_option, print_json
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 def main(argv: list[str] | None = None) -> int:
     """Run one command.
 
-    Returns the exit status, one of `rig.cli.command_list.exit_statuses`
+    Returns the exit status, one of `rig.cli.command_names_groups_summaries_and_exit_statuses.exit_status_meanings`
     Raises SystemExit where help was asked for or the usage is wrong
     """
     words, begun = sys.argv[1:] if argv is None else argv, None
     if words[:1] == ["stop"]:
-        from rig.cli.stop_before_imports import begin_stop
+        from rig.cli.urgent_stop_before_slow_imports import begin_urgent_stop_of_command_words
 
-        begun = begin_stop(words[1:])
-    from rig.cli.command_execution import run_words
+        begun = begin_urgent_stop_of_command_words(words[1:])
+    from rig.cli.command_import_execution_and_exit_status import run_words
 
     return run_words(words, main, begun)
 

@@ -12,8 +12,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, output_display
-from rig.cli.shared.common_options import (
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_hand_option,
     add_json_result_option,
     add_overwrite_option,
@@ -114,7 +114,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="decimal sign in --poses and --out: point, commas between the cells (the default), or comma, semicolons",
     )
     add_hand_option(parser)
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
     add_json_result_option(parser)
 
@@ -125,7 +125,7 @@ def run(arguments: Namespace) -> None:
     Write corrected commands for wanted poses, or corrected poses of readings.
     """
     from calib.api.correct import correct
-    from rig.recording.recording_tables import write_poses
+    from rig.recording.corner_and_pose_csv_tables import write_poses
     from rig.recording.wanted_poses_and_roll_pitch_yaw import load_wanted_poses
 
     if arguments.forward and (
@@ -141,11 +141,11 @@ def run(arguments: Namespace) -> None:
             "--uncorrected, --single-step, --skip-unreachable, --sensors, --as poses, --units and --decimal apply to "
             "commands for wanted poses, not to --forward"
         )
-    calibration = input_options.calibration_of_arguments(arguments)
+    calibration = input_file_options_and_loading.calibration_of_arguments(arguments)
     out, chosen = arguments.outputs.file(arguments.out), calibration_of_chosen_hand(arguments, calibration)
     if arguments.forward:
         return _write_read_poses(arguments, chosen, out)
-    output_display.read_and_print_refutations(arguments.calibration)
+    escaped_output_progress_error_table_and_refutations.read_and_print_refutations(arguments.calibration)
     form = _format(arguments)
     wanted = load_wanted_poses(arguments.poses, form, chosen.correction.nominal)
     result = correct(calibration, wanted, _options(arguments, wanted, calibration, form.units))
@@ -331,7 +331,7 @@ def arguments_of_serve(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS", help="an address of the loopback (default 127.0.0.1)"
     )
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
 
 
 def run_serve(arguments: Namespace) -> None:
@@ -341,8 +341,8 @@ def run_serve(arguments: Namespace) -> None:
     """
     from calib.api.correction_server_and_move_to_pose import CorrectionServer
 
-    calibration = input_options.calibration_of_arguments(arguments)
-    output_display.read_and_print_refutations(arguments.calibration)
+    calibration = input_file_options_and_loading.calibration_of_arguments(arguments)
+    escaped_output_progress_error_table_and_refutations.read_and_print_refutations(arguments.calibration)
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     server = CorrectionServer(calibration, arguments.host, arguments.port)

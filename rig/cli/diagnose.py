@@ -10,10 +10,20 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, output_display
-from rig.cli.shared.common_options import SEED, add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.input_options import add_anyway_option, add_recordings_argument, notice_printer, read_recordings
-from rig.cli.shared.output_display import Progress
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.input_file_options_and_loading import (
+    add_continue_despite_mistakes_option,
+    add_recordings_argument,
+    notice_printing_function,
+    read_recordings,
+)
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    SEED,
+    add_json_result_option,
+    add_overwrite_option,
+    page_links,
+)
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
 from rig.formats.numbers_and_units import parse_number
@@ -21,7 +31,7 @@ from rig.formats.numbers_and_units import parse_number
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
     from calib.api.next_experiment import ExperimentOptions
-    from calib.diagnosis.report.report_verdict_and_folder import Report
+    from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report
     from rig.recording.recording_folder import Recording
 
 MENTIONED = 4  # remarks, and rows that were left out, in the terminal
@@ -60,10 +70,10 @@ def arguments(parser: ArgumentParser) -> None:
         dest="before",
         help="another diagnosis: begin with its findings, each of which must be confirmed here as well",
     )
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     _add_experiment_options(parser)
     add_overwrite_option(parser)
-    add_anyway_option(parser)
+    add_continue_despite_mistakes_option(parser)
     add_json_result_option(parser)
 
 
@@ -112,10 +122,12 @@ def run(arguments: Namespace) -> None:
     from rig.recording import frame_selection_and_content_hashes
 
     out, options = arguments.outputs.folder(arguments.out), _options(arguments, recordings)
-    notice = notice_printer(progress)
+    notice = notice_printing_function(progress)
     result = diagnose(recordings, options, progress, notice)
     for path, state, finding in result.against:
-        output_display.write_refutation(arguments, path, result.recording.name, finding, state)
+        escaped_output_progress_error_table_and_refutations.write_refutation(
+            arguments, path, result.recording.name, finding, state
+        )
     result.write(out)
     result.write_page(out / "diagnosis.html", page_links(arguments, arguments.out / "diagnosis.html"))
     if experiment is not None:
@@ -139,7 +151,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
     """Settings of a diagnosis, from the arguments."""
     from calib.api.diagnose import DiagnoseOptions
 
-    effects = input_options.load_effect_files(arguments)
+    effects = input_file_options_and_loading.load_effect_files(arguments)
     known = arguments.calibration
     return DiagnoseOptions(
         None if arguments.only is None else tuple(arguments.only),
@@ -147,7 +159,7 @@ def _options(arguments: Namespace, recordings: list[Recording]) -> DiagnoseOptio
         tuple(arguments.assume),
         arguments.before,
         effects,
-        None if known is None else input_options.load_calibration(known, effects),
+        None if known is None else input_file_options_and_loading.load_calibration(known, effects),
         str(known),
         tuple(json_files_in_same_folders_as([recordings[0].folder, arguments.out])),
         arguments.anyway,

@@ -7,7 +7,7 @@ Packages, OpenGL, cameras, ports, disk space, threads.
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.common_options import add_json_option, print_json
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_json_option, print_json
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -56,7 +56,7 @@ def run_completion(arguments: Namespace) -> None:
 
     Print the completion script of a shell.
     """
-    from rig.cli.shared.argument_parser_and_option_values import completion_script
+    from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import completion_script
 
     print(completion_script(arguments.all_commands(), arguments.shell))
 

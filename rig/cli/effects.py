@@ -11,8 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options
-from rig.cli.shared.common_options import add_json_option, add_overwrite_option, file_or_stdout, print_json
+from rig.cli.shared import input_file_options_and_loading
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_json_option,
+    add_overwrite_option,
+    file_or_stdout,
+    print_json,
+)
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT
 
@@ -25,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig effects` to a parser."""
     parser.add_argument("name", metavar="NAME", nargs="?", help="one of them in full; without it a table of all")
     add_json_option(parser)
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     parser.add_argument(
         "--new", metavar="NAME", help="write a file with a user-defined effect, to be edited and passed to --effects"
     )
@@ -54,11 +59,11 @@ def run(arguments: Namespace) -> None:
         raise RigError("--from, --place and --out apply to a new effect: name it with --new")
     from shutil import get_terminal_size
 
-    from rig.cli.shared.argument_parser_and_option_values import suggestion_text
+    from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import suggestion_text
     from rig.effects.catalogue.effect_list import effect_description, effect_description_dict, effect_table
 
     width = get_terminal_size((160, 24)).columns
-    known = input_options.known_effects(input_options.load_effect_files(arguments))
+    known = input_file_options_and_loading.known_effects(input_file_options_and_loading.load_effect_files(arguments))
     if arguments.name is None:
         if arguments.json:
             print_json([effect_description_dict(effect) for effect in known.values()])
@@ -101,7 +106,7 @@ def arguments_of_document(parser: ArgumentParser) -> None:
         help="where it is written, as Markdown, with a "
         "sketch of each effect in a folder FILE next to it; printed without sketches by default",
     )
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     add_overwrite_option(parser)
 
 
@@ -113,9 +118,9 @@ def run_document(arguments: Namespace) -> None:
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text
-    from rig.formats.output_files.atomic_files_and_locks import is_written_directly
+    from rig.formats.output_files.atomic_file_writing_and_process_locks import is_written_directly
 
-    kinds = input_options.known_effects(input_options.load_effect_files(arguments))
+    kinds = input_file_options_and_loading.known_effects(input_file_options_and_loading.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)
     printed = is_written_directly(out)
     if not printed and not arguments.out.suffix:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
-from rig.model.protocol_and_port_names import PROTOCOLS
+from rig.model.protocol_port_and_user_program_name_checks import PROTOCOLS
 
 if TYPE_CHECKING:
-    from synthetic.emulated_cameras import EmulatedCameraProcess
+    from synthetic.emulated_camera_images_sensors_and_server_process import EmulatedCameraProcess
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -116,7 +116,7 @@ def run(arguments: Namespace) -> None:
 
 def _list_faults() -> None:
     """Print the kinds of faults."""
-    from rig.driving.emulators.emulated_axes_and_faults import KINDS
+    from rig.driving.emulators.emulated_axis_motion_and_controller_faults import KINDS
 
     for kind, text in KINDS.items():
         print(f"{kind:17} {text}")
@@ -126,21 +126,21 @@ def _emulate(arguments: Namespace) -> None:
     """Emulate a controller until interrupted."""
     from rig.driving import emulators
     from rig.driving.clock import SystemClock
-    from rig.driving.emulators import controller_emulator_opening_and_ports
-    from rig.driving.emulators.controller_emulator_opening_and_ports import emulator_of_rig_toml_controller
+    from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp
+    from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import emulator_of_rig_toml_controller
     from rig.formats.rig_toml.design_from_rig_toml import load_design
 
     clock = SystemClock()
     if arguments.truth and not arguments.cameras:
         raise RigError("--truth is for --cameras, which show the true machine")
-    options = controller_emulator_opening_and_ports.EmulatorOptions(
+    options = emulator_opening_and_serving_over_terminal_or_tcp.EmulatorOptions(
         _protocol(arguments), tuple(arguments.fault), arguments.seed, arguments.start, arguments.speed
     )
     emulator = emulator_of_rig_toml_controller(arguments.design, options, clock)
     wire = (
-        controller_emulator_opening_and_ports.tcp_wire(emulator, _address(arguments.tcp, "--tcp"))
+        emulator_opening_and_serving_over_terminal_or_tcp.tcp_wire(emulator, _address(arguments.tcp, "--tcp"))
         if arguments.tcp is not None
-        else controller_emulator_opening_and_ports.Terminal(arguments.link)
+        else emulator_opening_and_serving_over_terminal_or_tcp.Terminal(arguments.link)
     )
     scratch = tempfile.TemporaryDirectory(
         prefix="rig-emulate-"
@@ -152,7 +152,7 @@ def _emulate(arguments: Namespace) -> None:
     for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(ending, signal.default_int_handler)
     try:
-        controller_emulator_opening_and_ports.serve_emulator(
+        emulator_opening_and_serving_over_terminal_or_tcp.serve_emulator(
             emulator, wire, lambda: True, _print_port, history.record if history else lambda: None
         )
     except KeyboardInterrupt:
@@ -179,7 +179,7 @@ def _protocol(arguments: Namespace) -> str | None:
 
 def _conform(arguments: Namespace) -> None:
     """Print each check of a protocol. Raises RigError where one is not passed."""
-    from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
+    from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
 
     design = conformance_design(arguments.design, _protocol(arguments))
     protocol = _protocol(arguments) or (design.driver().protocol if arguments.design else None)
@@ -213,7 +213,7 @@ def _new(arguments: Namespace) -> None:
 
 def _cameras(arguments: Namespace, followed: Path) -> EmulatedCameraProcess:
     """The process that draws; its address is printed."""
-    from synthetic.emulated_cameras import EmulatedCameraProcess
+    from synthetic.emulated_camera_images_sensors_and_server_process import EmulatedCameraProcess
 
     cameras = EmulatedCameraProcess(
         arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed

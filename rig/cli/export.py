@@ -12,9 +12,13 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_and_option_values import parse_tolerance, quantity_parser
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, file_or_stdout
-from rig.cli.shared.input_options import add_deprecated_option_name
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_tolerance, quantity_parser
+from rig.cli.shared.input_file_options_and_loading import add_deprecated_option_name
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    file_or_stdout,
+)
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 

@@ -9,9 +9,11 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, output_display
-from rig.cli.shared.argument_parser_and_option_values import require_share_of_greatest_speed
-from rig.cli.shared.common_options import (
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    require_speed_share_within_zero_to_one,
+)
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_result_option,
     add_port_and_trace_options,
     add_speed_option,
@@ -48,7 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="print what would be commanded, and move nothing")
     add_speed_option(parser, 1.0)
     add_trust_option(parser)
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     add_port_and_trace_options(parser)
     add_json_result_option(parser)
 
@@ -59,14 +61,14 @@ def run(arguments: Namespace) -> None:
     Move the platform to one pose through a calibration.
     """
     from calib.api.correction_server_and_move_to_pose import plan_pose_move, require_same_rig
-    from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.formats.numbers_and_units import SI
 
-    require_share_of_greatest_speed(arguments.speed)
+    require_speed_share_within_zero_to_one(arguments.speed)
     design = design_with_controller_port(arguments.rig, arguments.port)
-    calibration = input_options.calibration_of_arguments(arguments)
-    output_display.read_and_print_refutations(arguments.calibration)
+    calibration = input_file_options_and_loading.calibration_of_arguments(arguments)
+    escaped_output_progress_error_table_and_refutations.read_and_print_refutations(arguments.calibration)
     require_same_rig(design, calibration, arguments.rig, arguments.calibration)
     move = plan_pose_move(design, calibration, parse_pose(arguments.pose, arguments.units or SI), arguments.uncorrected)
     if arguments.dry_run:
@@ -85,7 +87,7 @@ def run(arguments: Namespace) -> None:
 
 def _print_plan(move: PoseMove, driven: bool = True) -> None:
     """Print the values to command. driven : whether the move starts from where the axes stand, not from home"""
-    from rig.driving.axis_units_and_distances import axes_word, values_text
+    from rig.driving.axis_display_units_and_controller_counts import axes_word, values_text
 
     m = move.design.mechanism
     if m.link_rows is not None:
@@ -98,7 +100,7 @@ def _print_plan(move: PoseMove, driven: bool = True) -> None:
 
 def _print_remainder(move: PoseMove) -> None:
     """Print how far from the pose the platform is by the calibration, with what that is itself uncertain by."""
-    from rig.driving.axis_units_and_distances import axes_word
+    from rig.driving.axis_display_units_and_controller_counts import axes_word
 
     left, own, within = move.remainder, move.uncertainty, move.within
     if left is not None and own is not None and within is not None:

@@ -1,7 +1,7 @@
 """rig home, jog, stop and status: single commands to a controller.
 
 Struts are homed, or moved once, by a distance or to given lengths and checked as any move; nothing is interactive. A
-stop was begun before this is imported (rig.cli.stop_before_imports). For status, nothing moves.
+stop was begun before this is imported (rig.cli.urgent_stop_before_slow_imports). For status, nothing moves.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import require_share_of_greatest_speed
-from rig.cli.shared.common_options import (
-    add_controller_arguments,
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    require_speed_share_within_zero_to_one,
+)
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_result_option,
+    add_rig_toml_port_and_trace_arguments,
     add_speed_option,
     add_trust_option,
 )
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
 def arguments_of_home(parser: ArgumentParser) -> None:
     """Add the arguments of `rig home` to a parser."""
-    add_controller_arguments(parser)
+    add_rig_toml_port_and_trace_arguments(parser)
     parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
 
 
@@ -34,7 +36,7 @@ def run_home(arguments: Namespace) -> None:
 
     Home all struts and print their positions.
     """
-    from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
@@ -46,7 +48,7 @@ def run_home(arguments: Namespace) -> None:
 
 def arguments_of_jog(parser: ArgumentParser) -> None:
     """Add the arguments of `rig jog` to a parser."""
-    add_controller_arguments(parser)
+    add_rig_toml_port_and_trace_arguments(parser)
     parser.add_argument(
         "--strut",
         type=parse_whole_number,
@@ -81,8 +83,8 @@ def run_jog(arguments: Namespace) -> None:
     """
     import numpy as np
 
-    from rig.cli.shared.run_display_and_controller_status import print_status
-    from rig.driving.axis_units_and_distances import MM_AND_DEGREES, axes_word, parse_axis_values
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
+    from rig.driving.axis_display_units_and_controller_counts import MM_AND_DEGREES, axes_word, parse_axis_values
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.driving.move_profiles_and_path_check import jog_goal
     from rig.model.mechanisms import axis_units
@@ -92,7 +94,7 @@ def run_jog(arguments: Namespace) -> None:
     struts = arguments.strut or list(range(1, count + 1))
     if not all(1 <= strut <= count for strut in struts):
         raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
-    require_share_of_greatest_speed(arguments.speed)
+    require_speed_share_within_zero_to_one(arguments.speed)
     if arguments.to and arguments.strut:
         raise RigError("--to states the value of every axis; omit --strut")
     units, moves = axis_units(design.mechanism), np.isin(np.arange(1, count + 1), struts)
@@ -121,7 +123,7 @@ PATIENCE = 10.0  # s for a process that drives to let go
 
 def arguments_of_stop(parser: ArgumentParser) -> None:
     """Add the arguments of `rig stop` to a parser."""
-    add_controller_arguments(parser)
+    add_rig_toml_port_and_trace_arguments(parser)
 
 
 def run_stop(arguments: Namespace) -> None:
@@ -138,7 +140,7 @@ def run_stop(arguments: Namespace) -> None:
             print(f"process {begun.holder.pid}, which drove them, was stopped")
         stopped = begun.stopped_controller()
 
-        from rig.cli.shared.run_display_and_controller_status import print_status
+        from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
         from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
         design = design_with_controller_port(arguments.design, arguments.port)
@@ -161,7 +163,7 @@ def _urgent_stop(arguments: Namespace) -> UrgentStop:
 
 def arguments_of_status(parser: ArgumentParser) -> None:
     """Add the arguments of `rig status` to a parser."""
-    add_controller_arguments(parser)
+    add_rig_toml_port_and_trace_arguments(parser)
     add_json_result_option(parser)
 
 
@@ -172,7 +174,7 @@ def run_status(arguments: Namespace) -> None:
 
     Nothing moves.
     """
-    from rig.cli.shared.run_display_and_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)

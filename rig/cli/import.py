@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_and_option_values import parse_tolerance
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_tolerance
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_json_result_option, add_overwrite_option
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
 
@@ -137,7 +137,10 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _pointing(arguments: argparse.Namespace) -> None:
     """Write a recording of directions of TPOINT's pointing data. Raises RigError where anything else is named too"""
-    from rig.formats.importers.tpoint_pointing_data import read_pointing_data, write_pointing_recording
+    from rig.formats.importers.tpoint_pointing_data_import_and_refraction import (
+        read_pointing_data,
+        write_pointing_recording,
+    )
 
     others = [name for name in (*TABLES, "images", "rig", "cameras", "bag", "recipe", "settings", "skip_unreadable")]
     named = [name for name in others if getattr(arguments, name)]
@@ -168,11 +171,11 @@ def _pointing(arguments: argparse.Namespace) -> None:
 def _print_camera_places(folder: Path) -> None:
     """Print where a few images of the recording in a folder put its cameras, of which poses are stated by hand."""
     from rig.recording.recording_folder import load_recording
-    from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_few_images
+    from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_sampled_frame_images
     from vision.checks.mistake_search_by_trial_corrections import misplaced_or_exchanged_camera_sentences
 
     recording = load_recording(folder)
-    corners = corners_of_few_images(recording) if recording.has_images else None
+    corners = corners_of_sampled_frame_images(recording) if recording.has_images else None
     for line in () if corners is None else misplaced_or_exchanged_camera_sentences(recording, corners):
         print(f"found: {line}")
 

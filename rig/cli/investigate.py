@@ -8,7 +8,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
 from calib.experiment import FIRST, LOADED, STANDING
-from rig.cli.shared.common_options import SEED, add_json_result_option
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import SEED, add_json_result_option
 from rig.formats.numbers_and_units import parse_whole_number
 
 

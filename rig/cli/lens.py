@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
-from rig.cli.shared.output_display import Progress
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    page_links,
+)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -52,7 +56,7 @@ def run(arguments: Namespace) -> None:
     import sys
     from dataclasses import replace
 
-    from rig.model.calibration_board import parse_board
+    from rig.model.calibration_board_layout_and_description_parsing import parse_board
 
     try:
         board = replace(parse_board(arguments.board), legacy=arguments.legacy)
@@ -65,7 +69,7 @@ def run(arguments: Namespace) -> None:
 
     from calib.report.platform_and_lens_calibration_pages import lens_verdict, write_lens_page
     from rig.formats.output_files import write_text
-    from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml
+    from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import camera_toml
     from vision.lenses.lens_calibration_from_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())

@@ -10,8 +10,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import parse_length_and_angle
-from rig.cli.shared.common_options import (
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_length_and_angle
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress, print_frames_without_pose
+from rig.cli.shared.input_file_options_and_loading import (
+    add_recording_argument,
+    notice_printing_function,
+    read_recording,
+)
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_result_option,
     add_overwrite_option,
     add_page_option,
@@ -19,14 +25,12 @@ from rig.cli.shared.common_options import (
     page_links,
     page_path,
 )
-from rig.cli.shared.input_options import add_recording_argument, notice_printer, read_recording
-from rig.cli.shared.output_display import Progress, print_frames_without_pose
 from rig.formats.numbers_and_units import count_text
 
 if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import LimbAcceptance
-    from calib.certification.measuring_limb_identification_and_agreement import Agreement
+    from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
 
 
 def arguments_of_test(parser: ArgumentParser) -> None:
@@ -70,8 +74,8 @@ def run_test(arguments: Namespace) -> int:
     Exit status 1 where one is not accepted.
     """
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import AcceptLimbsOptions, accept_limbs
-    from calib.online.accepted_limbs_file import is_limbs_file
-    from rig.cli.shared.measurement_and_calibration_summary import print_online_learning_result
+    from calib.online.accepted_measuring_limbs_file import is_limbs_file
+    from rig.cli.shared.measurement_calibration_and_learning_summary_printing import print_online_learning_result
 
     names = None if arguments.use is None else tuple(arguments.use.split(","))
     options = AcceptLimbsOptions(parse_length_and_angle(arguments.tolerance), names, tuple(arguments.argv))
@@ -91,7 +95,7 @@ def run_test(arguments: Namespace) -> int:
         print(f"written: {arguments.page}")
     if state is not None and result.passed:
         progress = Progress()
-        learnt = result.learn(arguments.state, progress, notice_printer(progress))
+        learnt = result.learn(arguments.state, progress, notice_printing_function(progress))
         learnt.save(state)
         print_online_learning_result(learnt)
         print(f"written: {arguments.state}")
@@ -129,7 +133,7 @@ def _print_checks(result: LimbAcceptance) -> None:
 
 def _print_agreement(found: Agreement, source: str) -> None:
     """Print how far each axis agrees with vision, against its tolerance."""
-    from calib.certification.measuring_limb_identification_and_agreement import AXES, MOVES
+    from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import AXES, MOVES
 
     print(
         f"measuring limbs minus vision ({source}), {count_text(found.n, 'pose')}, each by limbs "
@@ -198,14 +202,14 @@ def run_closures(arguments: Namespace) -> int:
     """
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
-    from calib.online.accepted_limbs_file import load_limbs
+    from calib.online.accepted_measuring_limbs_file import load_limbs_whatever_their_verdict
 
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     options = LoopClosureOptions(
         tuple(arguments.use.split(",")) if arguments.use else None,
         None if arguments.calibration is None else calibration_file.load(arguments.calibration),
-        None if arguments.limbs is None else load_limbs(arguments.limbs),
+        None if arguments.limbs is None else load_limbs_whatever_their_verdict(arguments.limbs),
     )
     result = close_loops(recording, options)
     _print_closures(result)

@@ -9,22 +9,22 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.common_options import (
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.input_file_options_and_loading import (
+    add_continue_despite_mistakes_option,
+    add_limb_options,
+    add_recording_argument,
+    limb_source,
+    notice_printing_function,
+    read_recording,
+)
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_hand_option,
     add_json_result_option,
     add_overwrite_option,
     page_links,
     recording_of_chosen_hand,
 )
-from rig.cli.shared.input_options import (
-    add_anyway_option,
-    add_limb_options,
-    add_recording_argument,
-    limb_source,
-    notice_printer,
-    read_recording,
-)
-from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv exists")
     add_limb_options(parser)
     add_overwrite_option(parser)
-    add_anyway_option(parser)
+    add_continue_despite_mistakes_option(parser)
     add_json_result_option(parser)
 
 
@@ -68,7 +68,7 @@ def run(arguments: Namespace) -> None:
     if limbs is not None:
         return _by_limbs(arguments, recording, limbs, progress)
     from calib.report.measurement_page import write_measurement_page
-    from rig.cli.shared.measurement_and_calibration_summary import print_measurement
+    from rig.cli.shared.measurement_calibration_and_learning_summary_printing import print_measurement
     from rig.recording import frame_selection_and_content_hashes
     from vision.api import MeasureOptions, measure
 
@@ -76,8 +76,8 @@ def run(arguments: Namespace) -> None:
         arguments.outputs.folder(arguments.out),
         MeasureOptions(hold, arguments.places, arguments.detect, arguments.anyway),
     )
-    with frame_selection_and_content_hashes.start_content_hashing(recording) as marks:
-        result = measure(recording, options, progress, notice_printer(progress))
+    with frame_selection_and_content_hashes.hash_frame_contents_in_background(recording) as marks:
+        result = measure(recording, options, progress, notice_printing_function(progress))
         arguments.outputs.data = frame_selection_and_content_hashes.manifest_lines_of_frame_hashes(marks())
     result.write(out)
     write_measurement_page(out / "report.html", result, page_links(arguments, arguments.out / "report.html"))
@@ -102,14 +102,16 @@ def _by_limbs(arguments: Namespace, recording: Recording, limbs: LimbSource, pro
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect apply to cameras and what they see; omit them with --limbs")
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import measure_poses_by_limbs
-    from rig.cli.shared.measurement_and_calibration_summary import print_uncertainty_of_poses_from_limbs
+    from rig.cli.shared.measurement_calibration_and_learning_summary_printing import (
+        print_limb_pose_uncertainty_and_vision_agreement,
+    )
     from rig.recording import frame_selection_and_content_hashes
 
     out = arguments.outputs.folder(arguments.out)
-    found = measure_poses_by_limbs(recording, limbs, arguments.anyway, progress, notice_printer(progress))
+    found = measure_poses_by_limbs(recording, limbs, arguments.anyway, progress, notice_printing_function(progress))
     arguments.outputs.data = frame_selection_and_content_hashes.manifest_lines_of_frame_hashes(
         frame_selection_and_content_hashes.content_hashes_of_frames(recording)
     )
     found.write(out)
-    print_uncertainty_of_poses_from_limbs(found)
+    print_limb_pose_uncertainty_and_vision_agreement(found)
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")

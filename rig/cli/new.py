@@ -11,13 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rig.cli.shared.argument_parser_and_option_values import parse_length, suggestion_text
-from rig.cli.shared.common_options import add_overwrite_option, add_units_option, file_or_stdout
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_length, suggestion_text
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_overwrite_option,
+    add_units_option,
+    file_or_stdout,
+)
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
 if TYPE_CHECKING:
-    from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
+    from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions
 
 
@@ -180,7 +184,7 @@ def arguments_of_design(parser: ArgumentParser) -> None:
         help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
         "panda, stanford, scara, gantry",
     )
-    add_own_arm_options(parser)
+    add_user_arm_file_options(parser)
     add_units_option(parser, "in rig.toml, and in --dh and --poe where its header states none")
     parser.add_argument(
         "--seen",
@@ -215,7 +219,7 @@ def arguments_of_design(parser: ArgumentParser) -> None:
     add_overwrite_option(parser)
 
 
-def add_own_arm_options(parser: ArgumentParser) -> None:
+def add_user_arm_file_options(parser: ArgumentParser) -> None:
     """Add the options that name a file of one's own arm.
 
     A URDF, a table of Denavit-Hartenberg rows, or one of screw axes.
@@ -254,12 +258,12 @@ def add_own_arm_options(parser: ArgumentParser) -> None:
 
 
 def arm_file_options(arguments: Namespace, units: str | None) -> "ArmFileOptions":
-    """ArmFileOptions of the arguments that `add_own_arm_options` adds.
+    """ArmFileOptions of the arguments that `add_user_arm_file_options` adds.
 
     units : of --dh or --poe, None for its header's or SI
     Raises RigError
     """
-    from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
+    from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions
 
     names = ("urdf", "root", "dh", "modified", "poe")
     given = {name: getattr(arguments, name) for name in names}
@@ -280,7 +284,7 @@ def run_design(arguments: Namespace) -> None:
 
     Write the rig.toml of a new design.
     """
-    from rig.formats.importers.arm_of_urdf_or_dh_table import read_arm_file
+    from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import read_arm_file
     from rig.formats.numbers_and_units import SI
     from rig.formats.output_files import write_text
     from rig.planning.layout.shipped_arms_and_layouts import LayoutOptions, new_rig_toml

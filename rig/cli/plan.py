@@ -9,8 +9,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import parse_length, parse_length_and_angle
-from rig.cli.shared.common_options import (
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    parse_length,
+    parse_length_and_angle,
+)
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     SEED,
     add_json_result_option,
     add_overwrite_option,
@@ -19,7 +23,6 @@ from rig.cli.shared.common_options import (
     page_links,
     page_path,
 )
-from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_whole_number
 
@@ -156,6 +159,6 @@ def _drawn_log(duration: float) -> Sensors:
     """The sensors' log over a duration (s), as a simulated rig has it."""
     import numpy as np
 
-    from synthetic.secret_machine_and_truth_file import draw_temperatures
+    from synthetic.random_true_machine_and_truth_file import random_true_and_logged_temperatures
 
-    return draw_temperatures(duration, np.random.default_rng(SEED))[0]
+    return random_true_and_logged_temperatures(duration, np.random.default_rng(SEED))[0]

@@ -10,9 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared.argument_parser_and_option_values import parse_length_and_angle, quantity_parser
-from rig.cli.shared.common_options import SEED, add_controller_arguments
-from rig.cli.shared.input_options import add_limb_options, limb_source
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    parse_length_and_angle,
+    quantity_parser,
+)
+from rig.cli.shared.input_file_options_and_loading import add_limb_options, limb_source
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import SEED, add_rig_toml_port_and_trace_arguments
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text, parse_number, parse_whole_number
 
@@ -24,7 +27,7 @@ KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig run` to a parser."""
-    add_controller_arguments(parser)
+    add_rig_toml_port_and_trace_arguments(parser)
     parser.add_argument(
         "--plan",
         required=True,
@@ -115,12 +118,15 @@ def run(arguments: Namespace) -> None:
         for line in planned.compare_with_controller():
             print(line)
         return
-    from rig.cli.shared.run_display_and_controller_status import run_displays, terminal_can_answer
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import (
+        open_terminal_and_page_run_displays,
+        terminal_can_answer,
+    )
 
     out, asked = arguments.out, arguments.settle == "ask"
     if asked and arguments.page is None and not terminal_can_answer():
         raise RigError("--settle ask takes somebody who answers: a terminal in the foreground, or --page")
-    frames = planned.carry_out(out, partial(run_displays, arguments.page, asked), print)
+    frames = planned.carry_out(out, partial(open_terminal_and_page_run_displays, arguments.page, asked), print)
     if planned.options.uses_cameras(design):
         print(f"{count_text(frames, 'frame')} in {out}; rig measure {out} --out DIR measures them all jointly")
     elif (out / "poses.csv").exists():
@@ -179,7 +185,7 @@ def _print_plan(planned: PlannedRun) -> None:
     """Check the whole plan from home and print what it would do."""
     import numpy as np
 
-    from rig.driving.axis_units_and_distances import greatest_distance_text, values_text
+    from rig.driving.axis_display_units_and_controller_counts import greatest_distance_text, values_text
 
     m, steps, travel = planned.design.mechanism, planned.steps, planned.travel()
     cameras = planned.design.cameras if planned.options.cameras else ()

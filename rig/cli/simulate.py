@@ -9,9 +9,9 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options
-from rig.cli.shared.common_options import add_overwrite_option
-from rig.cli.shared.output_display import Progress
+from rig.cli.shared import input_file_options_and_loading
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_overwrite_option
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
@@ -58,7 +58,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="NAME:PLACE:PARAMETER=VALUE,..",
         help="unmodelled effect, as NAME:strut3:gap=80um; a plain number is in the SI unit; may be repeated",
     )
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     parser.add_argument(
         "--noise", type=parse_number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)"
     )
@@ -133,7 +133,7 @@ def _options(arguments: Namespace) -> SimulateOptions:
     return SimulateOptions(
         arguments.plan,
         tuple(arguments.effect),
-        input_options.known_effects(input_options.load_effect_files(arguments)),
+        input_file_options_and_loading.known_effects(input_file_options_and_loading.load_effect_files(arguments)),
         arguments.noise,
         arguments.seed,
         arguments.secret,

@@ -12,7 +12,7 @@ from subprocess import CompletedProcess
 
 from rig.array_and_json_types import Json
 from rig.cli.shared import blind_case_process
-from rig.cli.shared.common_options import (
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_result_option,
     add_overwrite_option,
     open_worker_pool,

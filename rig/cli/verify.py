@@ -10,8 +10,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.cli.shared import input_options, output_display
-from rig.cli.shared.common_options import (
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
+    Progress,
+    print_frames_without_pose,
+    print_held_out_errors,
+)
+from rig.cli.shared.input_file_options_and_loading import add_recording_argument, read_recording
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_hand_option,
     add_json_option,
     add_page_option,
@@ -20,15 +26,13 @@ from rig.cli.shared.common_options import (
     print_json,
     recording_of_chosen_hand,
 )
-from rig.cli.shared.input_options import add_recording_argument, read_recording
-from rig.cli.shared.output_display import Progress, print_frames_without_pose, print_held_out_errors
 from rig.formats.numbers_and_units import count_text
 from rig.report.verdict_refutations_and_result_display import exit_status
 
 if TYPE_CHECKING:
     from calib.api.verify_and_watch import VerificationResult
+    from rig.recording.corner_and_pose_csv_tables import Poses
     from rig.recording.recording_folder import Recording
-    from rig.recording.recording_tables import Poses
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -38,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_json_option(parser)
     add_page_option(parser)
     add_hand_option(parser)
-    input_options.add_user_effect_files_option(parser)
+    input_file_options_and_loading.add_user_effect_files_option(parser)
     parser.add_argument(
         "--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were intended to take"
     )
@@ -56,17 +60,19 @@ def run(arguments: Namespace) -> int:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = input_options.calibration_of_arguments(arguments)
+    calibration = input_file_options_and_loading.calibration_of_arguments(arguments)
     recording, page = recording_of_chosen_hand(arguments, read_recording(arguments)), page_path(arguments)
     wanted = _wanted_poses(arguments.wanted, recording)
     refuted = refutations_of_file(arguments.calibration)
     result = verify(calibration, recording, wanted, refuted, progress)
     progress.close()
-    output_display.print_refutations(arguments.calibration, refuted)
+    escaped_output_progress_error_table_and_refutations.print_refutations(arguments.calibration, refuted)
     if page is not None:
         result.write_page(page, page_links(arguments, arguments.page))
     if result.refutation is not None:
-        output_display.write_refutation(arguments, arguments.calibration, recording.name, result.refutation)
+        escaped_output_progress_error_table_and_refutations.write_refutation(
+            arguments, arguments.calibration, recording.name, result.refutation
+        )
     if arguments.json:
         print_json(result.tree())
         return exit_status(result.verdict)
@@ -79,8 +85,8 @@ def run(arguments: Namespace) -> int:
 def _wanted_poses(path: Path | None, recording: Recording) -> Poses | None:
     """Poses that a recording's frames were intended to take. Raises RigError where it shows several hands."""
     from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
+    from rig.recording.corner_and_pose_csv_tables import load_poses
     from rig.recording.frame_selection_and_content_hashes import require_one_hand_shown
-    from rig.recording.recording_tables import load_poses
 
     if path is None:
         return None

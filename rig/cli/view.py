@@ -9,9 +9,13 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.common_options import add_overwrite_option, file_or_stdout, page_links
-from rig.cli.shared.input_options import add_recording_argument, read_recording
-from rig.cli.shared.output_display import Progress
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.input_file_options_and_loading import add_recording_argument, read_recording
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_overwrite_option,
+    file_or_stdout,
+    page_links,
+)
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 
@@ -91,7 +95,7 @@ def _refuse_options_of_other_views(arguments: Namespace) -> None:
 
 def _shown_file(arguments: Namespace, folder: Path) -> Path:
     """The file that shows a recording's folder. Raises FileError for a picture's unknown format."""
-    from vision.frame_pictures import picture_file_suffix
+    from vision.measured_frame_drawings_and_frame_jpegs import picture_file_suffix
 
     named: Path | None = arguments.page or arguments.rerun
     if named is None:

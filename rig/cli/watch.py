@@ -8,8 +8,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared import output_display
-from rig.cli.shared.common_options import (
+from rig.cli.shared import escaped_output_progress_error_table_and_refutations
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     SEED,
     add_json_option,
     add_overwrite_option,
@@ -18,7 +19,6 @@ from rig.cli.shared.common_options import (
     page_path,
     print_json,
 )
-from rig.cli.shared.output_display import Progress
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_whole_number
 from rig.report.verdict_refutations_and_result_display import exit_status, refutations_of_file
@@ -96,14 +96,16 @@ def _watch(arguments: Namespace) -> int:
     refuted = refutations_of_file(arguments.calibration)
     result = watch(calibration, loaded, history, refuted, progress)
     progress.close()
-    output_display.print_refutations(arguments.calibration, refuted)
+    escaped_output_progress_error_table_and_refutations.print_refutations(arguments.calibration, refuted)
     if retained is not None:
         visit_history.write_history(retained, result.history)
     if page is not None:
         result.write_page(page, arguments.calibration.name, page_links(arguments, arguments.page))
     if result.refutation is not None:
         state, sentence = result.refutation
-        output_display.write_refutation(arguments, arguments.calibration, result.visits[-1].name, sentence, state)
+        escaped_output_progress_error_table_and_refutations.write_refutation(
+            arguments, arguments.calibration, result.visits[-1].name, sentence, state
+        )
     if arguments.json:
         print_json(result.tree())
     else:
@@ -114,10 +116,10 @@ def _watch(arguments: Namespace) -> int:
 
 
 def _plan(arguments: Namespace) -> None:
-    from calib.drift.visit_configurations import SIGMAS, choose_visit_configurations
+    from calib.drift.choice_and_order_of_visit_configurations import SIGMAS, choose_visit_configurations
     from calib.files import calibration_file
     from rig.formats.rig_toml import design_from_rig_toml
-    from rig.recording import recording_tables
+    from rig.recording import corner_and_pose_csv_tables
 
     calibration = calibration_file.load(arguments.calibration)
     design = design_from_rig_toml.load_design(arguments.rig) if arguments.rig else None
@@ -127,7 +129,7 @@ def _plan(arguments: Namespace) -> None:
         calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of)
     )
     progress.close()
-    recording_tables.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
+    corner_and_pose_csv_tables.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
     print(
         f"{arguments.count} poses; a pose measured to {SIGMAS[0] * 1e6:g} um and {SIGMAS[1] * 1e6:g} urad, "
         "one visit knows, all "

@@ -7,11 +7,16 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
-from rig.cli.new import add_own_arm_options, arm_file_options
-from rig.cli.shared.argument_parser_and_option_values import parse_length, parse_tolerance
-from rig.cli.shared.common_options import add_json_option, add_overwrite_option, page_links, print_json
-from rig.cli.shared.input_options import add_anyway_option
-from rig.cli.shared.output_display import Progress
+from rig.cli.new import add_user_arm_file_options, arm_file_options
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_length, parse_tolerance
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.input_file_options_and_loading import add_continue_despite_mistakes_option
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_json_option,
+    add_overwrite_option,
+    page_links,
+    print_json,
+)
 from rig.report.verdict_refutations_and_result_display import exit_status
 
 
@@ -24,7 +29,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="a recording, a table of joint values and measured poses, a ROS bag, or a folder of such files",
     )
     parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the machine, where DATA does not state it")
-    add_own_arm_options(parser)
+    add_user_arm_file_options(parser)
     parser.add_argument("--units", metavar="mm,deg", help="of --dh, where the header states none (default m,rad)")
     parser.add_argument(
         "--position-sigma",
@@ -46,7 +51,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="keeps the recording, calibration.json, and the diagnosis with its page"
     )
-    add_anyway_option(parser)
+    add_continue_despite_mistakes_option(parser)
     add_overwrite_option(parser)
     add_json_option(parser)
 

@@ -6,7 +6,11 @@ Poses lost and gained, limits, singularities.
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from rig.cli.shared.common_options import add_json_result_option, add_overwrite_option, page_links
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
+    add_json_result_option,
+    add_overwrite_option,
+    page_links,
+)
 from rig.errors import RigError
 
 

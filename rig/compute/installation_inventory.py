@@ -45,7 +45,7 @@ def installation_inventory() -> list[InventoryItem]:
     return [
         InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[2]}"),
         InventoryItem("system", "ok", system),
-        *installed_packages(),
+        *installed_package_inventory_items(),
         check_opengl_drawing(),
         list_video_devices(),
         list_genicam_producers(),
@@ -55,7 +55,7 @@ def installation_inventory() -> list[InventoryItem]:
     ]
 
 
-def installed_packages() -> Iterator[InventoryItem]:
+def installed_package_inventory_items() -> Iterator[InventoryItem]:
     """Installed packages, each with its version, against what rig requires."""
     for need in metadata.requires("rig") or ():
         name, least, extra = parse_requirement(need)

@@ -12,12 +12,21 @@ from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
 from rig.driving.clock import Clock
-from rig.driving.controller_lock import ControllerLock, ask_lock_holder_to_end, await_end_of_lock_holder
-from rig.driving.newport_port import NewportPort
-from rig.driving.ports_and_numbered_frames import ChannelAccessPort, SerialPort, encode_frame, open_port
-from rig.driving.universal_robots_port import UniversalRobotsPort
+from rig.driving.controller_lock_and_stop_of_its_holder import (
+    ControllerLock,
+    ask_lock_holder_to_end,
+    await_end_of_lock_holder,
+)
+from rig.driving.newport_function_call_tcp_port import NewportPort
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
+    ChannelAccessPort,
+    SerialPort,
+    encode_frame,
+    open_port,
+)
+from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort
 from rig.errors import FileError
-from rig.model.protocol_and_port_names import MOTOR_RECORDS
+from rig.model.protocol_port_and_user_program_name_checks import MOTOR_RECORDS
 
 CLIENT = "rig 1.0"  # who greets linuxcncrsh
 STOPS = {
@@ -111,7 +120,7 @@ def _stop_bytes(protocol: str, path: str | os.PathLike[str]) -> bytes | None:
         return STOPS.get(protocol)
     from pathlib import Path  # these take time, and other protocols do without
 
-    from rig.formats.user_python_file import literal_in_class_body, read_user_text
+    from rig.formats.user_python_file_reading_and_running import literal_in_class_body, read_user_text
 
     try:
         stop = literal_in_class_body(read_user_text(Path(path).parent / place)[0], "urgent_stop")
@@ -121,7 +130,7 @@ def _stop_bytes(protocol: str, path: str | os.PathLike[str]) -> bytes | None:
 
 
 @contextmanager
-def urgently_stopped_controller(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
+def stop_controller_urgently_and_hold_it(address: ControllerAddress, clock: Clock) -> Iterator[StoppedController]:
     """Urgently stopped controller, a StoppedController (context manager).
 
     Its lock held, its urgent stop sent, its port closed at the end.
@@ -150,7 +159,7 @@ class UrgentStop:
     """
 
     def __init__(self, address: ControllerAddress, clock: Clock) -> None:
-        """Raises what urgently_stopped_controller raises."""
+        """Raises what stop_controller_urgently_and_hold_it raises."""
         self._address, self.clock, self._stack = address, clock, ExitStack()
         self._stopped: StoppedController | None = None
         self.holder = ask_lock_holder_to_end(address.port, address.usb)
@@ -169,7 +178,7 @@ class UrgentStop:
             await_end_of_lock_holder(self.holder, self._address.port or self._address.usb, self.clock, timeout)
 
     def stopped_controller(self) -> StoppedController:
-        """The controller, sent its urgent stop once. Raises what urgently_stopped_controller raises."""
+        """The controller, sent its urgent stop once. Raises what stop_controller_urgently_and_hold_it raises."""
         if self._stopped is None:
-            self._stopped = self._stack.enter_context(urgently_stopped_controller(self._address, self.clock))
+            self._stopped = self._stack.enter_context(stop_controller_urgently_and_hold_it(self._address, self.clock))
         return self._stopped

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import SHOWN, value_text
+from rig.driving.axis_display_units_and_controller_counts import SHOWN, value_text
 from rig.errors import FileError, Unreachable
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.numbers_and_units import parse_number

@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
+from rig.driving.axis_driver import Driver
 from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_address_and_urgent_stop import ControllerAddress, StoppedController
-from rig.driving.controller_lock import ControllerLock
+from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock
 from rig.driving.controller_status_and_limits import ControllerStatus
-from rig.driving.ports_and_numbered_frames import open_port
 from rig.driving.protocols import protocol_of_controller
 from rig.driving.request_and_answer_exchange_with_controller import Port
-from rig.driving.strut_driver import Driver
-from rig.driving.user_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_port
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Controller, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_axes
-from rig.model.protocol_and_port_names import port_problem
+from rig.model.protocol_port_and_user_program_name_checks import port_problem
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:

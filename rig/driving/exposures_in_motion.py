@@ -9,7 +9,11 @@ from types import TracebackType
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
+    CameraError,
+    Frame,
+    SynchronisedCameras,
+)
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.run_journal import PositionReports
@@ -117,7 +121,7 @@ class FramesDuringMove:
         return True
 
 
-def lengths_reported_at(reports: Sequence[PositionReport], t: float, start_lengths: Floats) -> Floats:
+def interpolated_reported_strut_lengths(reports: Sequence[PositionReport], t: float, start_lengths: Floats) -> Floats:
     """Strut lengths (n,) m at time t s, interpolated between the position reports about it.
 
     reports : in the order of their times; another thread may append to them meanwhile

@@ -14,13 +14,21 @@ from typing import Protocol
 import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
-from rig.driving.cameras.camera_interface_and_user_cameras import Frame, StampDifferences, SynchronisedCameras
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
+    Frame,
+    StampDifferences,
+    SynchronisedCameras,
+)
 from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
-from rig.driving.exposures_in_motion import FramesDuringMove, journal_row_of_position_reports, lengths_reported_at
+from rig.driving.exposures_in_motion import (
+    FramesDuringMove,
+    interpolated_reported_strut_lengths,
+    journal_row_of_position_reports,
+)
 from rig.driving.move_profiles_and_path_check import TimedShares, move_profile_fitted_to_reports
-from rig.driving.operator_readings import ReadingForm
+from rig.driving.readings_entered_by_operator_during_run import ReadingForm
 from rig.driving.recording_from_run_journal import GrowingRecording
 from rig.driving.run_journal import (
     Arrival,
@@ -34,21 +42,21 @@ from rig.driving.run_journal import (
     Resumed,
     Row,
 )
-from rig.driving.run_steps_and_progress import (
+from rig.driving.run_steps_from_plan_and_progress_from_journal import (
     Progress,
     Step,
-    interrupted_move_result,
+    interrupted_move_text_and_goal_reached,
     progress_from_journal,
     start_position_of_step,
 )
 from rig.errors import MotionError, RigError, Stopped
-from rig.formats.output_files.atomic_files_and_locks import sync_folder
+from rig.formats.output_files.atomic_file_writing_and_process_locks import sync_folder
 
 ENTRY_POLL = 0.1  # s between looks whether an operator who is asked has stopped the run
 
 
 class Machine(Protocol):
-    """What the loop needs of a driver; see rig.driving.strut_driver.Driver."""
+    """What the loop needs of a driver; see rig.driving.axis_driver.Driver."""
 
     @property
     def position_known(self) -> bool:
@@ -177,7 +185,7 @@ class RunOperator:
         if homed:
             found, reached = f"the axes had to be homed; step {state.step + 1} is approached from there", False
         else:
-            found, reached = interrupted_move_result(
+            found, reached = interrupted_move_text_and_goal_reached(
                 state, self.planned, np.array(position), self.bench.tolerance, self.bench.unit
             )
         goal = tuple(self.planned[state.step].goal.tolist())
@@ -265,7 +273,7 @@ class RunOperator:
             times = tuple(float(frame.t) - self._origin for frame in frames.values())
             sigma = tuple(float(frame.t_sigma) for frame in frames.values())
             self.write(Exposed(times[0], index, number, sigma, tuple(frames), names, (), times))
-            at = lengths_reported_at(exposing.reports, times[0] + self._origin, start)
+            at = interpolated_reported_strut_lengths(exposing.reports, times[0] + self._origin, start)
             self.watcher.seen(RecordedFrame(number, index, times[0], at, frames))
             number += 1
 

@@ -12,7 +12,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.axis_units_and_distances import SHOWN, axes_word, greatest_distance_text, value_text, values_text
+from rig.driving.axis_display_units_and_controller_counts import (
+    SHOWN,
+    axes_word,
+    greatest_distance_text,
+    value_text,
+    values_text,
+)
 from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
@@ -96,7 +102,7 @@ SPACING = 2e-3  # m or rad of the axis that moves most, between the places looke
 FEWEST, MOST = 3, 200  # of them, beside the start
 
 
-def require_lengths_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
+def require_axis_values_in_range(lengths: Floats, mechanism: Commanded) -> Floats:
     """Require values (n,) m or rad within the axes' ranges, and return them.
 
     Raises ValueError for another number of values or for what is not finite, Unreachable naming each axis beyond

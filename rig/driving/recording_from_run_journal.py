@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.driving.cameras.camera_interface_and_user_cameras import ELSEWHERE
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import ELSEWHERE
 from rig.driving.run_journal import (
     Arrival,
     Began,
@@ -36,8 +36,8 @@ from rig.driving.run_journal import (
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import BINARY, read_bytes
 from rig.formats.output_files import write_text
-from rig.formats.output_files.atomic_files_and_locks import sync_folder
-from rig.recording.recording_tables import POSE_COLUMNS
+from rig.formats.output_files.atomic_file_writing_and_process_locks import sync_folder
+from rig.recording.corner_and_pose_csv_tables import POSE_COLUMNS
 
 READINGS = "poses.csv"  # of an operator
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from rig.errors import FileError, RigError
 from rig.formats.local_and_remote_input_files import BINARY
-from rig.formats.output_files.atomic_files_and_locks import HeldLock, lock_open_file, sync_folder
+from rig.formats.output_files.atomic_file_writing_and_process_locks import HeldLock, lock_open_file, sync_folder
 
 Lengths = tuple[float, ...]
 
@@ -188,7 +188,7 @@ class Journal:
                 self._lock = lock_open_file(self._file, self.path)
             except OSError:
                 raise RigError(f"{self.path} is being written by another run; end that one first") from None
-            self.rows, whole = read_journal(self.path)
+            self.rows, whole = read_journal_rows_and_valid_length(self.path)
             self.torn = os.fstat(self._file).st_size - whole
             if self.torn:
                 os.ftruncate(self._file, whole)
@@ -232,7 +232,7 @@ def journal_line(number: int, row: Row) -> bytes:
     return f'{body[:-1]}, "crc": "{zlib.crc32(body.encode()):08x}"}}\n'.encode()
 
 
-def read_journal(path: Path) -> tuple[list[Row], int]:
+def read_journal_rows_and_valid_length(path: Path) -> tuple[list[Row], int]:
     """Rows read from a journal and their length in bytes.
 
     A torn last line follows those bytes.

@@ -14,8 +14,12 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.texts.effect_texts_and_user_effect_files import Kinds, effect_class_by_name, require_existing_place
+from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
+    Kinds,
+    effect_class_by_name,
+    require_existing_place,
+)
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries
@@ -108,7 +112,7 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
             )
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
-        return check_effect_place_and_parameter_bounds(kind(tree["place"], **values))
+        return require_valid_effect_place_and_parameters(kind(tree["place"], **values))
     except (TypeError, ValueError, OverflowError) as error:
         raise RigError(f"{short_repr(tree)} is no effect: {error}") from None
 

@@ -85,7 +85,7 @@ def coupling_matrix(count: int, couplings: tuple[Coupling, ...]) -> Floats:
     return out
 
 
-def joint_parents(count: int, branches: tuple[Branch, ...]) -> Integers:
+def joint_parent_indices(count: int, branches: tuple[Branch, ...]) -> Integers:
     """Index (n,) of the joint whose link carries each of n joints, -1 for the base: the one before it without branch.
 
     Raises ValueError for a branch of a joint that there is not, stated twice, or that stands on a later joint
@@ -100,7 +100,7 @@ def joint_parents(count: int, branches: tuple[Branch, ...]) -> Integers:
     return parents
 
 
-def carried_joints(parents: Integers) -> Booleans:
+def joint_carries_joint_matrix(parents: Integers) -> Booleans:
     """Whether joint i carries joint j (n, n) bool, [i, j]: its link moves with joint i, as its own link does."""
     out = np.eye(len(parents), dtype=bool)
     for j, parent in enumerate(parents.tolist()):
@@ -126,7 +126,7 @@ def hand_number(mechanism: object, hand: str | int) -> int:
     return names.index(hand)
 
 
-def require_one_hand(mechanism: object, refusal_beginning: str) -> None:
+def require_single_hand_mechanism(mechanism: object, refusal_beginning: str) -> None:
     """Raise RigError for a mechanism with several hands. refusal_beginning : says what is not done"""
     names = hand_names(mechanism)
     if names:

@@ -104,7 +104,9 @@ class TiltReadings:
         return replace(self, down=Rotation.from_rotvec(-lean).apply(np.array(self.down))) if lean.any() else self
 
 
-def linearised_tilts(readings: TiltReadings, links: Floats, mounting: Floats) -> tuple[Floats, Floats, Floats]:
+def tilt_residuals_and_jacobians(
+    readings: TiltReadings, links: Floats, mounting: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Linearised tilts of readings.
 
     links : (n, s, 3, 3) orientations of the sensors' links in the frame of poses; mounting : (3 + 3 s,) rad, small
@@ -190,7 +192,7 @@ def times_resampled_for_small_tilt_steps(
     return np.r_[np.repeat(t[:-1], parts) + shares * np.repeat(np.diff(t), parts), t[-1:]]
 
 
-def gravity_channels(
+def base_gravity_channels_under_tilts(
     gravity: Floats, tilts: tuple[BaseTilt, ...], channel_values: Callable[[str], Floats]
 ) -> dict[str, Floats]:
     """Channels of gravity in the base frame under tilts.

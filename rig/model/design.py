@@ -11,10 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, freeze_array
 from rig.errors import RigError
 from rig.model.base_and_link_tilt_sensors import BaseTilt, TiltSensor
-from rig.model.calibration_board import DICTIONARIES as DICTIONARIES
-from rig.model.calibration_board import Board
+from rig.model.calibration_board_layout_and_description_parsing import DICTIONARIES as DICTIONARIES
+from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2
-from rig.model.protocol_and_port_names import PROTOCOLS as PROTOCOLS
+from rig.model.protocol_port_and_user_program_name_checks import PROTOCOLS as PROTOCOLS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -367,7 +367,7 @@ def image_warp_columns(camera: Camera, uv: Floats, degree: int) -> Floats:
     return np.stack([np.concatenate([basis, zero], axis=-1), np.concatenate([zero, basis], axis=-1)], axis=-2)
 
 
-def move_edges_inward(quads: Floats, distance: float) -> Floats:
+def corners_of_squares_with_edges_moved_inward(quads: Floats, distance: float) -> Floats:
     """Corners (..., 4, 2) px of squares whose edges have each moved inward by a distance px, negative for outward."""
     edge = np.roll(quads, -1, axis=-2) - quads  # edge k runs from corner k to k + 1
     unit = edge / np.linalg.norm(edge, axis=-1, keepdims=True)

@@ -7,19 +7,19 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.array_and_json_types import Booleans, Floats, Integers, freeze_array, frozen_array
+from rig.array_and_json_types import Booleans, Floats, Integers, freeze_array, read_only_float_array_of_shape
 from rig.model.arm_hands_effect_places_and_tolerances import (
     Branch,
     Coupling,
     Hand,
-    carried_joints,
     coupling_matrix,
     hand_number,
-    joint_parents,
+    joint_carries_joint_matrix,
+    joint_parent_indices,
 )
-from rig.model.stated_mechanism import StatedMechanism
+from rig.model.checked_loading_of_user_kinematics_file import load_checked_kinematics_source
+from rig.model.mechanism_base_class import StatedMechanism
 from rig.model.user_kinematics_file import KinematicsFile
-from rig.model.user_kinematics_file_checks import kinematics_of_source
 
 WORDS = {"m": "slide", "rad": "joint"}  # what an axis of a kinematics file is called, by its unit
 
@@ -188,8 +188,8 @@ class Arm(StatedMechanism):
             raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
         freeze_array(self, "limits", (len(self.joints), 2))
         slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
-        object.__setattr__(self, "slides", frozen_array(slides, (len(self.joints),), "slides") > 0)
-        joint_parents(len(self.joints), self.branches)
+        object.__setattr__(self, "slides", read_only_float_array_of_shape(slides, (len(self.joints),), "slides") > 0)
+        joint_parent_indices(len(self.joints), self.branches)
         coupling_matrix(len(self.joints), self.couplings)
         if self.hands:
             object.__setattr__(self, "tool", self.hands[self.hand].tool)
@@ -197,7 +197,7 @@ class Arm(StatedMechanism):
     @property
     def parents(self) -> Integers:
         """(n,) index of the joint whose link carries each joint, -1 for the base."""
-        return joint_parents(len(self.joints), self.branches)
+        return joint_parent_indices(len(self.joints), self.branches)
 
     @property
     def followers(self) -> Booleans:
@@ -227,7 +227,7 @@ class Arm(StatedMechanism):
     def moving(self) -> Booleans:
         """(n,) bool, the joints that move the hand."""
         last = self.hands[self.hand].joint if self.hands else len(self.joints) - 1
-        return np.asarray(carried_joints(self.parents)[:, last])
+        return np.asarray(joint_carries_joint_matrix(self.parents)[:, last])
 
     def of_hand(self, hand: str | int) -> Self:
         """The arm seen at one of its hands, by name or number (from 0). Raises RigError for a hand that it lacks."""
@@ -327,7 +327,7 @@ class FileMechanism(StatedMechanism):
     @property
     def stated(self) -> KinematicsFile:
         """What the file states. Raises FileError for a file that cannot be used"""
-        return kinematics_of_source(self.source, self.file)
+        return load_checked_kinematics_source(self.source, self.file)
 
     @property
     def axes(self) -> tuple[str, ...]:

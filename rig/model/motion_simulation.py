@@ -16,7 +16,7 @@ from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Design
-from rig.model.mechanisms import best_six_legs_and_loop_closures, hexapod, mechanism_chain
+from rig.model.mechanisms import hexapod, mechanism_chain, redundant_strut_best_six_legs_and_loop_closures
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Mechanism,
     has_stages,
@@ -138,8 +138,12 @@ def simulate_machine_run(
 def _held_poses(lengths: Floats, mechanism: Mechanism, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform (n,) of lengths or axis values (n, axes): where the driven struts hold it, followers aside."""
     if is_redundant(mechanism) and mechanism.followers:
-        driven = best_six_legs_and_loop_closures.hexapod_of_actuated_struts(mechanism)
-        return hexapod.forward(lengths[..., best_six_legs_and_loop_closures.actuated_struts(mechanism)], driven, guess)
+        driven = redundant_strut_best_six_legs_and_loop_closures.hexapod_of_actuated_struts(mechanism)
+        return hexapod.forward(
+            lengths[..., redundant_strut_best_six_legs_and_loop_closures.actuated_strut_numbers(mechanism)],
+            driven,
+            guess,
+        )
     return mechanisms.kinematics_of(mechanism).forward(lengths, mechanism, guess)
 
 
@@ -209,7 +213,7 @@ def effective_commands_and_sway(
     return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
-def lean_of_base(
+def base_lean_rotation_vectors(
     design: Design,
     commands: Commands,
     t: Floats,

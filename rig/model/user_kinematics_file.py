@@ -282,7 +282,7 @@ def _turn(axis: int, angle: float | complex) -> Floats:
     return out
 
 
-def kinematics_of_executed_source(source: str, name: str) -> KinematicsFile:
+def run_kinematics_source_without_function_checks(source: str, name: str) -> KinematicsFile:
     """KinematicsFile of a source text, run, its statements checked but its functions not yet called.
 
     name : of its file, in errors. Raises FileError with the line of what is wrong

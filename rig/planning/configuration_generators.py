@@ -17,13 +17,13 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
-from rig.model.mechanisms.best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     has_links,
     is_redundant,
     require_hexapod_or_redundant_hexapod,
 )
+from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
 from rig.model.pose import pose
 
 FILL = 0.8  # of the strokes that plans use

@@ -19,8 +19,8 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
-from rig.model.mechanisms.best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant
+from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
 from rig.planning.configuration_generators import (
     FILL,
     divided_grid_configurations,

@@ -26,8 +26,8 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import COLUMN, QUARTERS, find_cube
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
-from rig.recording.recording_folder import PAYLOAD, Commands, require_followers_as_leaders_have_them
-from rig.recording.recording_tables import write_table
+from rig.recording.corner_and_pose_csv_tables import write_table
+from rig.recording.recording_folder import PAYLOAD, Commands, require_follower_joint_values_match_leaders
 
 TRIED = 64  # exchanges of two configurations that are compared at once
 REACHES = (0.02, 0.2)  # of the stroke, shortest and longest last move
@@ -344,7 +344,7 @@ def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Tabl
         axis = mechanisms.axis_place_texts(design.mechanism)[np.flatnonzero(beyond[i])[0]]
         table.fail(f"{axis} is commanded out of its range", i)
     if has_links(design.mechanism):
-        require_followers_as_leaders_have_them(table, values, design.mechanism)
+        require_follower_joint_values_match_leaders(table, values, design.mechanism)
     return values
 
 

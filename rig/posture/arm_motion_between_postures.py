@@ -18,9 +18,9 @@ from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search
+from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_posture_search
 from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
-from rig.posture.null_space_search import FIXED_ROWS
+from rig.posture.null_space_posture_search import FIXED_ROWS
 from rig.recording.recording_folder import Recording
 
 STEPS = 200  # of a motion on the way
@@ -34,13 +34,13 @@ def motion_with_hand_still(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: s
     """
     if np.abs(goal - q).max() < REACHED:
         return np.array([q])
-    if null_space_search.redundant_joint_count(arm, fixed_hand_part) != 1:
+    if null_space_posture_search.redundant_joint_count(arm, fixed_hand_part) != 1:
         return _within(q, goal, arm, fixed_hand_part)
-    path = null_space_search.trace_self_motion(q, arm, fixed_hand_part)
+    path = null_space_posture_search.trace_self_motion(q, arm, fixed_hand_part)
     start = int(np.abs(path - q).max(axis=1).argmin())
     far = np.linalg.norm(path - goal, axis=1)
     stop = int(far.argmin())
-    if far[stop] > 2 * null_space_search.TRACE:
+    if far[stop] > 2 * null_space_posture_search.TRACE:
         raise RigError(
             "no motion of the elbow alone leads to the posture: it comes no nearer than "
             f"{_greatest_difference_text(path[stop] - goal, arm)}; "
@@ -54,14 +54,16 @@ def _within(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
     """(k, n) rad from q (n,) to goal (n,): as straight as what is held of the hand allows, brought back after every
     step.
     """
-    target, rows = mechanism.link_frames(q[None], arm)[:, -1], [np.array(q, float)]
+    target, rows = mechanism.single_hand_arm_link_frames(q[None], arm)[:, -1], [np.array(q, float)]
     for k in range(STEPS):
         now = rows[-1][None]
-        pull = (null_space_search.null_space_projectors(now, arm, fixed_hand_part)[0] @ (goal - now[0])) / (STEPS - k)
-        new = null_space_search.return_hand_to_target(now + pull, target, arm, fixed_hand_part)
+        pull = (null_space_posture_search.null_space_projectors(now, arm, fixed_hand_part)[0] @ (goal - now[0])) / (
+            STEPS - k
+        )
+        new = null_space_posture_search.joint_angles_returning_hand_to_target(now + pull, target, arm, fixed_hand_part)
         beyond = np.abs(mechanism.signed_limit_excess(new[0], arm))
         if (
-            null_space_search.hand_deviation(new, target, arm, fixed_hand_part)[0] > 1e-9
+            null_space_posture_search.hand_deviation(new, target, arm, fixed_hand_part)[0] > 1e-9
             or beyond.any()
             or np.abs(new - now).max() > 0.5
         ):
@@ -75,7 +77,7 @@ def _within(q: Floats, goal: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
                 "take it on the way"
             )
         rows.append(new[0])
-    if np.abs(rows[-1] - goal).max() > 2 * null_space_search.TRACE:
+    if np.abs(rows[-1] - goal).max() > 2 * null_space_posture_search.TRACE:
         raise RigError(
             f"no motion with the hand's {fixed_hand_part} held leads to the posture: it comes no nearer than "
             f"{_greatest_difference_text(rows[-1] - goal, arm)}; take it on the way"
@@ -107,11 +109,13 @@ def motion_with_hand_on_straight_line(q: Floats, goal: Floats, arm: Arm, steps: 
     rows = [np.array(q, float)]
     for k in range(1, steps + 1):
         now = rows[-1][None]
-        pull = (null_space_search.null_space_projectors(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
-        new = null_space_search.return_hand_to_target(now + pull, hands[k : k + 1], arm, "pose")
+        pull = (null_space_posture_search.null_space_projectors(now, arm, "pose")[0] @ (goal - now[0])) / (
+            steps - k + 1
+        )
+        new = null_space_posture_search.joint_angles_returning_hand_to_target(now + pull, hands[k : k + 1], arm, "pose")
         beyond = mechanism.signed_limit_excess(new[0], arm)
         if (
-            null_space_search.hand_deviation(new, hands[k : k + 1], arm, "pose")[0] > 1e-9
+            null_space_posture_search.hand_deviation(new, hands[k : k + 1], arm, "pose")[0] > 1e-9
             or np.abs(new - now).max() > 0.5
         ):
             raise RigError(

@@ -12,11 +12,15 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import pose_difference
-from rig.posture import arm_force_transmission_and_exertable_wrench, arm_motion_between_postures, null_space_search
+from rig.posture import (
+    arm_force_transmission_and_exertable_wrench,
+    arm_motion_between_postures,
+    null_space_posture_search,
+)
 from rig.posture.arm_force_transmission_and_exertable_wrench import (
     ExertionObjective,
     TransmissionObjective,
@@ -24,10 +28,10 @@ from rig.posture.arm_force_transmission_and_exertable_wrench import (
     joint_torques_for_wrench,
     weakest_force_and_direction,
 )
-from rig.posture.null_space_search import SearchResult
+from rig.posture.null_space_posture_search import SearchResult
 from rig.posture.self_motion_sweep import PostureSweep, sweep_self_motion
+from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import write_table
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 STARTS = 24  # joint solutions of the pose from which self-motions are searched for
@@ -127,7 +131,7 @@ def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
     Raises RigError for an arm with several hands, for a hand that is elsewhere than stated, and where nothing exceeds
         the measure that is wanted; Unreachable for a pose that no joint values give
     """
-    require_one_hand(arm, "postures are searched")
+    require_single_hand_mechanism(arm, "postures are searched")
     require_no_couplings(arm, "postures are searched")
     return (_best_searched if options.recording is None else _best_visited)(arm, options)
 
@@ -209,10 +213,10 @@ def _best_of_searches(
     nothing exceeds a limit
     """
     objective, fixed, above = options.maximised, options.fixed, options.above
-    if null_space_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, ExertionObjective):
-        found = {"solutions": null_space_search.given_postures_as_search_result(starts, arm, objective)}
+    if null_space_posture_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, ExertionObjective):
+        found = {"solutions": null_space_posture_search.given_postures_as_search_result(starts, arm, objective)}
         return found, "solutions", int(found["solutions"].value.argmax())
-    found = {"gradient": null_space_search.gradient_search(starts, arm, objective, fixed, above)}
+    found = {"gradient": null_space_posture_search.gradient_search(starts, arm, objective, fixed, above)}
     if above is not None:
         enough = np.flatnonzero(found["gradient"].value > above)
         if not len(enough):
@@ -222,9 +226,11 @@ def _best_of_searches(
             )
         nearest = np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()  # the least motion will do
         return found, "gradient", int(enough[nearest])
-    found["sampled"] = null_space_search.sampled_search(starts, arm, objective, np.random.default_rng(SEED), fixed)
-    if null_space_search.redundant_joint_count(arm, fixed) == 1:
-        found["global"] = null_space_search.global_search(starts, arm, objective, fixed)
+    found["sampled"] = null_space_posture_search.sampled_search(
+        starts, arm, objective, np.random.default_rng(SEED), fixed
+    )
+    if null_space_posture_search.redundant_joint_count(arm, fixed) == 1:
+        found["global"] = null_space_posture_search.whole_self_motion_search(starts, arm, objective, fixed)
     name, k = max(
         ((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]]
     )
@@ -235,7 +241,7 @@ def _joint_solutions(first: Floats, wanted: RigidTransform, arm: Arm) -> Floats:
     """(k, n) joint solutions of a pose within the limits: the first, and others far and wide."""
     many = RigidTransform.from_matrix(np.tile(wanted.as_matrix(), (STARTS, 1, 1)))
     guess = np.random.default_rng(SEED).uniform(arm.limits[:, 0], arm.limits[:, 1], (STARTS, len(first)))
-    q, remainder = mechanism.solve_inverse(many, arm, guess)
+    q, remainder = mechanism.solve_arm_inverse_by_damped_least_squares(many, arm, guess)
     inside = (remainder <= mechanism.GOOD) & (mechanism.signed_limit_excess(q, arm) == 0).all(axis=1)
     return np.vstack([first, q[inside]])
 

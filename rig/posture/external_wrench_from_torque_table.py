@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
-from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_single_hand_mechanism
 from rig.model.design import Design
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
@@ -27,9 +27,9 @@ from rig.posture.wrench_estimation_from_torques import (
     load_torque_table,
     momentum_observer_model,
     most_likely_random_walk_rates,
-    observe_wrench,
+    wrench_by_momentum_observer,
 )
-from rig.recording.recording_tables import COVARIANCE_COLUMNS, write_table
+from rig.recording.corner_and_pose_csv_tables import COVARIANCE_COLUMNS, write_table
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 SETTLED = 0.1  # of a record, after which figures are given: a filter begins with knowing nothing
@@ -133,7 +133,7 @@ def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = Wrenc
     """
     design, dynamics = load_arm_dynamics(arm_path)
     arm = require_arm(design.mechanism)
-    require_one_hand(arm, "a wrench is estimated")
+    require_single_hand_mechanism(arm, "a wrench is estimated")
     require_no_couplings(arm, "a wrench is estimated")
     if options.sigma is not None:
         torque, angle, speed = (np.full(len(arm.axes), value) for value in options.sigma)
@@ -147,7 +147,7 @@ def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = Wrenc
     model = momentum_observer_model(record.motion, arm, links, design.gravity, (sigma, angle, speed))
     rates = most_likely_random_walk_rates(model) if options.rate is None else np.repeat(options.rate, 3)
     plain = _plain(record, design, sigma, links)
-    return WrenchResult(record, observe_wrench(model, rates), plain, rates, options.rate is None)
+    return WrenchResult(record, wrench_by_momentum_observer(model, rates), plain, rates, options.rate is None)
 
 
 def _plain(record: TorqueRecord, design: Design, sigma: Floats, links: LinkMasses) -> tuple[Floats, Floats, Floats]:

@@ -11,11 +11,11 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
 from rig.model import mechanisms
-from rig.model.arm_hands_effect_places_and_tolerances import require_one_hand
+from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
-from rig.posture import null_space_search
-from rig.recording.recording_tables import write_table
+from rig.posture import null_space_posture_search
+from rig.recording.corner_and_pose_csv_tables import write_table
 
 LEAST_STEP = 1e-3  # rad, of slides m
 
@@ -49,7 +49,7 @@ class PostureSweep:
         """What `rig arm posture --sweep --json` prints."""
         low, high = self.arm.limits.T
         ends = self.q[self.exposed][[0, -1]]
-        at_limit = (ends <= low + null_space_search.TRACE) | (ends >= high - null_space_search.TRACE)
+        at_limit = (ends <= low + null_space_posture_search.TRACE) | (ends >= high - null_space_posture_search.TRACE)
         return {
             "schema": "posture-sweep/1",
             "unit": "rad, m",
@@ -79,15 +79,15 @@ def sweep_self_motion(start: Floats, arm: Arm, step: float, fixed_hand_part: str
     Raises RigError for a step too small, several hands, a start outside the limits, and a self-motion of more or fewer
         dimensions than one
     """
-    require_one_hand(arm, "postures are swept")
+    require_single_hand_mechanism(arm, "postures are swept")
     if not step >= LEAST_STEP:
         raise RigError(f"--sweep takes a step of at least {LEAST_STEP:g} rad, not {step:g}")
-    if (count := null_space_search.redundant_joint_count(arm, fixed_hand_part)) > 1:
+    if (count := null_space_posture_search.redundant_joint_count(arm, fixed_hand_part)) > 1:
         raise RigError(
             f"the self-motion has {count} dimensions, the hand's {fixed_hand_part} held; a sweep visits one that has "
             "one dimension"
         )
-    traced = null_space_search.trace_self_motion(start, arm, fixed_hand_part)
+    traced = null_space_posture_search.trace_self_motion(start, arm, fixed_hand_part)
     index = int(np.abs(traced - start).max(axis=1).argmin())
     laps = [part for part in (traced[index:], traced[index::-1]) if _is_lap(part, arm)]
     path = laps[0] if laps else traced if 2 * index < len(traced) else traced[::-1]
@@ -99,8 +99,8 @@ def sweep_self_motion(start: Floats, arm: Arm, step: float, fixed_hand_part: str
         raise RigError("the posture has no self-motion: every other one leaves the joint limits or the hand's place")
     visits = np.linspace(0.0, whole, max(int(np.ceil(whole / step)), 2) + 1)[: -1 if closed else None]
     near = np.array([np.interp(visits, travelled, column) for column in path.T]).T
-    target = np.broadcast_to(mechanism.link_frames(start[None], arm)[:, -1], (len(visits), 4, 4))
-    visited = null_space_search.return_hand_to_target(near, target, arm, fixed_hand_part)
+    target = np.broadcast_to(mechanism.single_hand_arm_link_frames(start[None], arm)[:, -1], (len(visits), 4, 4))
+    visited = null_space_posture_search.joint_angles_returning_hand_to_target(near, target, arm, fixed_hand_part)
     visited = np.clip(visited, *arm.limits.T)  # by what bringing the hand back rounds, less than 1e-9
     passed = ~np.isin(travelled, visits)
     order = np.argsort(np.r_[travelled[passed], visits], kind="stable")
@@ -120,4 +120,4 @@ def _is_lap(path: Floats, arm: Arm) -> bool:
     """Whether a traced path (k, n) ends where it began, whole turns of joints aside."""
     apart = path[-1] - path[0]
     apart -= np.where(arm.slides, 0.0, 2 * np.pi * np.round(apart / (2 * np.pi)))
-    return len(path) > 10 and bool(np.linalg.norm(apart) <= null_space_search.TRACE)
+    return len(path) > 10 and bool(np.linalg.norm(apart) <= null_space_posture_search.TRACE)

@@ -100,7 +100,7 @@ def momentum_observer_model(
     )
 
 
-def observe_wrench(model: ObserverModel, rates: Floats) -> ObservedWrench:
+def wrench_by_momentum_observer(model: ObserverModel, rates: Floats) -> ObservedWrench:
     """Observe the external wrench over time by an ObserverModel.
 
     rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk
@@ -188,7 +188,7 @@ def most_likely_random_walk_rates(model: ObserverModel) -> Floats:
         model.speed,
     )
     found = scipy.optimize.minimize_scalar(
-        lambda decades: -observe_wrench(short, _rates(decades)).likelihood,
+        lambda decades: -wrench_by_momentum_observer(short, _rates(decades)).likelihood,
         bounds=RATES,
         method="bounded",
         options={"xatol": 0.05},

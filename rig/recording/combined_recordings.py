@@ -21,9 +21,9 @@ from rig.model.design_comparison_and_cube_turning_instructions import (
     design_contradictions,
     is_same_lens_sensor_and_mount,
 )
+from rig.recording.corner_and_pose_csv_tables import Corners, Poses
 from rig.recording.exposures_and_image_files import Exposures
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors
-from rig.recording.recording_tables import Corners, Poses
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins
@@ -262,7 +262,7 @@ def _poses(parts: Sequence[RecordingPart], stage: int | None) -> Poses | None:
     )
 
 
-def channels_not_in_all(recordings: Sequence[Recording]) -> list[str]:
+def sensor_channels_missing_in_some_recordings(recordings: Sequence[Recording]) -> list[str]:
     """Sensor channels that are not in all recordings, and are dropped."""
     own = [set(r.sensors.channels) if r.sensors is not None else set() for r in recordings]
     return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
@@ -271,7 +271,7 @@ def channels_not_in_all(recordings: Sequence[Recording]) -> list[str]:
 def _sensors(parts: Sequence[RecordingPart]) -> Sensors | None:
     """The logs one after the other, of the channels that all have."""
     recordings = [part.recording for part in parts]
-    lost = channels_not_in_all(recordings)
+    lost = sensor_channels_missing_in_some_recordings(recordings)
     names = [
         n
         for n in dict.fromkeys(n for r in recordings if r.sensors is not None for n in r.sensors.channels)

@@ -31,12 +31,12 @@ from rig.array_and_json_types import Integers
 from rig.compute.worker_processes import worker_count
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.output_files.staged_folder_and_manifest import file_digest, load_manifest
+from rig.formats.output_files.staged_folder_and_manifest import file_sha256_or_empty, load_manifest
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import pose_to_vector
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import LIMB, Recording
-from rig.recording.recording_tables import Corners
 
 FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
@@ -172,23 +172,23 @@ def content_hashes_of_frames(recording: Recording) -> Marks:
             for part in recording.parts
             for frame, own in content_hashes_of_frames(part.recording).items()
         }
-    with start_content_hashing(recording) as marked:
+    with hash_frame_contents_in_background(recording) as marked:
         return marked()
 
 
 @contextmanager
-def start_content_hashing(recording: Recording) -> Iterator[Callable[[], Marks]]:
+def hash_frame_contents_in_background(recording: Recording) -> Iterator[Callable[[], Marks]]:
     """Start hashing a recording's frames in background threads.
 
     Returns a function that gives the hashes
     """
     paths = [recording.folder / name for name in recording.exposures.image if name]
     if worker_count() < 2:
-        yield lambda: _marks(recording, dict(zip(paths, map(file_digest, paths))))
+        yield lambda: _marks(recording, dict(zip(paths, map(file_sha256_or_empty, paths))))
         return
     pool = ThreadPoolExecutor(worker_count())
     try:
-        digests = pool.map(file_digest, paths)
+        digests = pool.map(file_sha256_or_empty, paths)
         yield lambda: _marks(recording, dict(zip(paths, digests)))
     finally:
         pool.shutdown(cancel_futures=True)

@@ -22,15 +22,15 @@ from rig.model.arm_hands_effect_places_and_tolerances import COUPLED, hand_names
 from rig.model.base_and_link_tilt_sensors import (
     GRAVITY,
     BaseTilt,
-    gravity_channels,
+    base_gravity_channels_under_tilts,
     has_gravity_sensor_channels,
     times_resampled_for_small_tilt_steps,
 )
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, target_bodies
+from rig.recording.corner_and_pose_csv_tables import Corners, Poses, load_corners, load_instrument_poses
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS, Exposures, UnreadableImage, load_exposures
-from rig.recording.recording_tables import Corners, Poses, load_corners, load_instrument_poses
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
@@ -258,7 +258,11 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
     channels: dict[str, Floats] = {
         name: np.asarray(np.interp(t, sensors.t, values)) for name, values in sensors.channels.items()
     }
-    return replace(sensors, t=t, channels={**channels, **gravity_channels(gravity, tilts, lambda name: channels[name])})
+    return replace(
+        sensors,
+        t=t,
+        channels={**channels, **base_gravity_channels_under_tilts(gravity, tilts, lambda name: channels[name])},
+    )
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:
@@ -302,11 +306,11 @@ def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOri
         )
     values = rows.matrix(design.mechanism.axes)
     if has_links(design.mechanism):
-        require_followers_as_leaders_have_them(rows, values, design.mechanism)
+        require_follower_joint_values_match_leaders(rows, values, design.mechanism)
     return Commands(t, values)
 
 
-def require_followers_as_leaders_have_them(rows: Table, values: Floats, arm: Arm) -> None:
+def require_follower_joint_values_match_leaders(rows: Table, values: Floats, arm: Arm) -> None:
     """Raise FileError for a row of commanded values (n, axes) in which a joint is not where its leader has it."""
     off = np.abs(arm.with_followers(values) - values)
     for i, j in np.argwhere(off > COUPLED)[:1].tolist():

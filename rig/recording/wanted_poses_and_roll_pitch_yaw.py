@@ -10,7 +10,14 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableForma
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names, selected_hand_name
 from rig.model.design import Instrument
 from rig.model.pose import roll_pitch_yaw, roll_pitch_yaw_sigmas
-from rig.recording.recording_tables import HAND, Poses, load_instrument_poses, load_poses, rows_of_hand, write_table
+from rig.recording.corner_and_pose_csv_tables import (
+    HAND,
+    Poses,
+    load_instrument_poses,
+    load_poses,
+    rows_of_hand,
+    write_table,
+)
 
 POINTING = Instrument("rig", "rig", np.inf, None, "direction")  # as which wanted directions are read
 

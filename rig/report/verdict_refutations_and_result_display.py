@@ -26,7 +26,7 @@ from rig.array_and_json_types import Json
 from rig.errors import FileError
 from rig.formats.local_and_remote_input_files import require_schema
 from rig.formats.output_files import write_text
-from rig.formats.output_files.staged_folder_and_manifest import file_digest
+from rig.formats.output_files.staged_folder_and_manifest import file_sha256_or_empty
 
 AGREES = 1.2  # times what noise and claim allow: up to that a held-out error agrees with them
 REFUTES = 1.5  # from there on it refutes them
@@ -219,7 +219,7 @@ def refutations_of_file(path: Path) -> tuple[Refutation, ...]:
     Raises FileError as `load_refutations` does.
     """
     known = load_refutations(path.parent)
-    own = file_digest(path) if known else ""
+    own = file_sha256_or_empty(path) if known else ""
     return tuple(one for one in known if one.sha256 == own)
 
 

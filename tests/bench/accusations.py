@@ -13,7 +13,9 @@ import numpy as np
 
 from calib.api.recording_check_combination_and_view import check
 from rig.checks import Mistake
-from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
+from rig.checks.design_value_camera_and_image_mistakes_and_all_file_checks import (
+    mistakes_found_without_looking_at_images,
+)
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera
 from rig.model.pose import exp
@@ -21,7 +23,7 @@ from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from synthetic.api import SimulateOptions, simulate
 from synthetic.recording_simulation import PictureWriter
 from vision.checks import find_corner_mistakes
@@ -78,7 +80,7 @@ def drawn_recording(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rig.toml").write_text(text)
     stated = design_from_rig_toml.load_design(folder / "rig.toml")
-    secret = secret_machine_and_truth_file.draw_machine(stated, rng, float(rng.uniform(0.5, 3.0)))
+    secret = random_true_machine_and_truth_file.random_true_machine(stated, rng, float(rng.uniform(0.5, 3.0)))
     cameras = tuple(_real(camera, rng, lensless, min(1.0, radius / 0.3)) for camera in secret.true.cameras)
     secret = replace(secret, true=replace(secret.true, cameras=cameras))
     done = recording_simulation.simulate_world(secret, plan.build_plan(stated, f"sobol:{frames}", number), rng)

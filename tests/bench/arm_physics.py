@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_arm_with_findings
+from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis, refit_arm_with_findings
 from calib.files.calibration_file import calibration_with_provenance
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm
@@ -22,7 +22,7 @@ from calib.models.arm.joint_space_correction_and_workspace_claim import arm_work
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -31,8 +31,8 @@ from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import recording_simulation, secret_machine_and_truth_file
-from synthetic.secret_machine_and_truth_file import World
+from synthetic import random_true_machine_and_truth_file, recording_simulation
+from synthetic.random_true_machine_and_truth_file import World
 from tests.calib.diagnose_recording import diagnosis_of
 
 ARMS, ROUTE, POSES, REACH = 3, "sobol:150", 60, 0.7
@@ -102,7 +102,7 @@ def _recorded(folder: Path, text: str, seed: int, effects: tuple[Effect, ...]) -
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
     design, rng = design_from_rig_toml.load_design(folder / "rig.toml"), np.random.default_rng(seed)
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, effects)
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, effects)
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, ROUTE, seed), rng),
         folder / "rec",

@@ -12,13 +12,17 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.files import calibration_file
-from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
 from calib.models.arm.error_model_and_observations import pose_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
-from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_search, wrench_estimation_from_torques
+from rig.posture import (
+    arm_force_transmission_and_exertable_wrench,
+    null_space_posture_search,
+    wrench_estimation_from_torques,
+)
 from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective
 from tests.calib import secret_arms as worlds
 from tests.cli import RIG
@@ -43,7 +47,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
 def _forward():
     for name, arm in (("UR10", UR10), ("Panda", PANDA), ("random, Hayati", random_arm(np.random.default_rng(0), 7))):
         q = configurations(arm, 10_000, np.random.default_rng(1))
-        ours, theirs = mechanism.link_frames(q, arm)[:, -1], pinocchio_arm.poses(arm, q)
+        ours, theirs = mechanism.single_hand_arm_link_frames(q, arm)[:, -1], pinocchio_arm.poses(arm, q)
         yield (
             f"{name}: forward against pinocchio, 10 000 configurations, worst",
             f"{np.abs(ours - theirs)[:, :3, 3].max():.1e} m, {np.abs(ours - theirs)[:, :3, :3].max():.1e}",
@@ -77,7 +81,9 @@ def _closed_forms():
         ]
         numeric = (
             _timed(
-                lambda T=T, q=q, arm=arm: mechanism.solve_inverse(T[:2000], arm, q[:2000] + 0.05, starts=0),
+                lambda T=T, q=q, arm=arm: mechanism.solve_arm_inverse_by_damped_least_squares(
+                    T[:2000], arm, q[:2000] + 0.05, starts=0
+                ),
                 time.process_time,
             )
             / 2000
@@ -102,7 +108,10 @@ def _identification():
             rng = np.random.default_rng(seed)
             true = worlds.secret(nominal, rng)
             seen = pose_observations(worlds.tracked(true, nominal, 80, rng))
-            found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
+            found = identify_arm(
+                seen,
+                arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, nominal, True, True),
+            )
             z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
@@ -131,7 +140,10 @@ def _identification():
     ):
         start = UR10 if seen.kind != "distance" else type(UR10)(UR10.joints, UR10.limits, tool=worlds.TOOL)
         found = identify_arm(
-            seen, instrument_placement.place_base_and_tool_of_arm(seen, start, True, seen.kind != "distance")
+            seen,
+            arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
+                seen, start, True, seen.kind != "distance"
+            ),
         )
         got = error_model_and_observations.predicted_target_poses(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
@@ -208,9 +220,9 @@ def _postures():
         TransmissionObjective(("fx", "mz")),
         TransmissionObjective(),
     ):
-        found = null_space_search.gradient_search(q, PANDA, wish)
-        best = null_space_search.global_search(q, PANDA, wish)
-        sampled = null_space_search.sampled_search(q, PANDA, wish, np.random.default_rng(4))
+        found = null_space_posture_search.gradient_search(q, PANDA, wish)
+        best = null_space_posture_search.whole_self_motion_search(q, PANDA, wish)
+        sampled = null_space_posture_search.sampled_search(q, PANDA, wish, np.random.default_rng(4))
         name = f"Panda, 500 poses, {' and '.join(wish.directions) or 'det'}, norm {wish.norm:g}"
         for kind, answer in (("gradient", found), ("sampled", sampled)):
             ratio = answer.value / best.value

@@ -18,7 +18,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.recording import recording_folder, recording_tables
+from rig.recording import corner_and_pose_csv_tables, recording_folder
 from rig.recording.exposures_and_image_files import read_image
 from tests.bench import corner_bound
 from tests.cli import RIG
@@ -87,7 +87,7 @@ def _first_light(out):
     yield "first-light: bias per axis", ", ".join(f"{v:+.4f}" for v in error.mean(axis=0)) + " px", "<= 0.005 px"
     yield "first-light: bias along the marker's own diagonal, outward", f"{along.mean():+.4f} px", "<= 0.005 px"
     yield "first-light: true corners in their stated 95 % ellipse", f"{100 * inside.mean():.1f} %", "93-97 %"
-    poses = recording_tables.load_poses(out / "poses.csv")
+    poses = corner_and_pose_csv_tables.load_poses(out / "poses.csv")
     errors = pose_difference(
         poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))[poses.frame]
     )
@@ -177,7 +177,7 @@ def _speed(folder):
     from rig.errors import MissingLibrary
     from synthetic import rig_meshes as scenes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
-    from synthetic.marker_drawing_sensor_and_occlusion import expose_image
+    from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 
     detector, rng = _subpix(), np.random.default_rng(0)
     threads = cv2.getNumThreads()
@@ -189,12 +189,17 @@ def _speed(folder):
         design = design_from_rig_toml.load_design(folder / "rig.toml")
         markers, home = marker_map(design), design.mechanism.home
         try:
-            renderer = Renderer(scenes.rig_parts(design), design)
+            renderer = Renderer(scenes.rig_and_background_meshes(design), design)
         except MissingLibrary as error:
             yield f"{width} x {height}: speed", "skipped", str(error)
             continue
         images = [
-            (camera, expose_image(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES))
+            (
+                camera,
+                simulate_sensor_exposure(
+                    renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES
+                ),
+            )
             for camera in design.cameras
         ]
         renderer.close()

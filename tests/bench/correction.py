@@ -9,7 +9,7 @@ import interpn
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from calib.correction.correction import Correction, require_reachable
+from calib.correction.correction import Correction, require_commands_in_axis_ranges
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
 from rig.model.mechanisms import hexapod
 from tests.bench.forward_kinematics import mechanism_of_bench
@@ -68,7 +68,7 @@ def _chain():
     one = wanted[0]
 
     def chain(T):
-        require_reachable(np.atleast_2d(correction.inverse(T)), mechanism, [])
+        require_commands_in_axis_ranges(np.atleast_2d(correction.inverse(T)), mechanism, [])
 
     chain(wanted), chain(one)
     batch = len(middle) / best(lambda: chain(wanted))

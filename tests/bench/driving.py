@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.driving.axis_driver import Driver
 from rig.driving.clock import SystemClock
-from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.ports_and_numbered_frames import SerialPort
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
-from rig.driving.strut_driver import Driver
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 

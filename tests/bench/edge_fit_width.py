@@ -116,19 +116,21 @@ def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
     from synthetic import rig_meshes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
-    from synthetic.marker_drawing_sensor_and_occlusion import expose_image
-    from vision.predict import marker_map, markers_expected_in_image
+    from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
+    from vision.predict import expected_marker_rows_and_corners_in_image, marker_map
 
-    renderer, markers, out = Renderer(rig_meshes.rig_parts(design), design), marker_map(design), {}
+    renderer, markers, out = Renderer(rig_meshes.rig_and_background_meshes(design), design), marker_map(design), {}
     scenes = []
     for _ in range(4):
         T = design.mechanism.home * exp(rng.uniform(-1, 1, 6) * [0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
         for view in design.cameras:
-            shown, places = markers_expected_in_image(view, T, markers)
+            shown, places = expected_marker_rows_and_corners_in_image(view, T, markers)
             scenes.append((renderer.draw(view.name, T), view, markers.id[shown], places))
     renderer.close()
     for kind, sensor in DRAWN.items():
-        out[f"rendered, {kind}"] = [(expose_image(radiance, sensor, rng, SAMPLES), *rest) for radiance, *rest in scenes]
+        out[f"rendered, {kind}"] = [
+            (simulate_sensor_exposure(radiance, sensor, rng, SAMPLES), *rest) for radiance, *rest in scenes
+        ]
     return out
 
 
@@ -136,7 +138,7 @@ def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
     from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, empty_residual_profile, learn_edge_spread
     from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers, grey_image_at_full_depth
-    from vision.reading.recording_corners import ROUNDS
+    from vision.reading.corner_reading_from_recording_images import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 import calib
 import vision
-from rig.driving.cameras.camera_interface_and_user_cameras import ELSEWHERE
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import ELSEWHERE
 from rig.recording.recording_folder import Recording, load_recording
 from tests.moving_run import (
     CAMERA,

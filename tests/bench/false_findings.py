@@ -27,7 +27,7 @@ from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.errors import RigError
 from rig.model.design import Sensor
 from rig.recording import recording_folder
-from rig.recording.recording_tables import Corners
+from rig.recording.corner_and_pose_csv_tables import Corners
 from synthetic.image_simulation import Images
 from synthetic.unlisted_effects_and_corner_noise import DISTURBANCES
 from tests.bench.accusations import drawn_recording

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,
     measured_correction_summands,
 )
-from calib.diagnosis.findings_refit import findings_of_diagnosis
+from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis
 from calib.samples.pose_samples import sample_recording
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.diagnose_recording import diagnosis_of

@@ -14,13 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, write_diagnosis_json_and_simulation_files
+from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import platform_effect_signal_to_noise
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+    diagnosis_report,
+    write_diagnosis_json_and_simulation_files,
+)
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import blind_cases, diagnosis_score
+from synthetic import diagnosis_score, random_blind_platform_cases_with_truth
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.vision.drawn_observations import nees
 from tests.vision.test_recording_adjustment import joint_chi2
@@ -117,7 +120,7 @@ def _named(still, one):
         str(sum(bool(c.found) or c.unexplained for c in still)),
         "<= 1",
     )
-    figures = {f.name: f for f in diagnosis_score.campaign_figures([*still, *one])}
+    figures = {f.name: f for f in diagnosis_score.campaign_rates_with_intervals([*still, *one])}
     for name, missed, most in (
         ("detected", "not detected", 2),
         ("named first", "not named first", 4),
@@ -149,22 +152,23 @@ def cases(kind: str, wanted: int) -> list[int]:
     return out
 
 
-def drawn_case(kind: str, index: int) -> blind_cases.DrawnCase:
+def drawn_case(kind: str, index: int) -> random_blind_platform_cases_with_truth.DrawnCase:
     """The DrawnCase of a number, with nothing drawn yet."""
-    return blind_cases.draw_case(SEEDS[kind], index, FRAMES[kind], kinds=[kind], images=True)
+    return random_blind_platform_cases_with_truth.draw_case(SEEDS[kind], index, FRAMES[kind], kinds=[kind], images=True)
 
 
-def strength(case: blind_cases.DrawnCase) -> list[float]:
+def strength(case: random_blind_platform_cases_with_truth.DrawnCase) -> list[float]:
     """Signal-to-noise of each hidden effect, from corners as good as those of its images."""
     if not case.hidden:
         return []
     with tempfile.TemporaryDirectory() as folder:
         # writing draws noise from the case's rng, so that the case's own remains unchanged: another is written
-        blind_cases.write_recording(
+        random_blind_platform_cases_with_truth.write_recording(
             replace(case, image_settings=None, rng=np.random.default_rng(0)), Path(folder) / "rec"
         )
         written = replace(
-            recording_folder.load_recording(Path(folder) / "rec"), corners=blind_cases.simulated_corners(case)
+            recording_folder.load_recording(Path(folder) / "rec"),
+            corners=random_blind_platform_cases_with_truth.simulated_corners(case),
         )
     world = case.simulation.world
     return platform_effect_signal_to_noise(written, world.true, case.noise, world.effects, case.simulation.sensors)[
@@ -172,13 +176,15 @@ def strength(case: blind_cases.DrawnCase) -> list[float]:
     ].tolist()
 
 
-def drawn(keep: Path, kind: str, index: int) -> tuple[blind_cases.DrawnCase, Recording, Path]:
+def drawn(
+    keep: Path, kind: str, index: int
+) -> tuple[random_blind_platform_cases_with_truth.DrawnCase, Recording, Path]:
     """(DrawnCase, its Recording, its truth's path) of a number: drawn, unless it was."""
     name = f"{kind}-{SEEDS[kind]}-{FRAMES[kind]}-{index}"
     case, folder, truth = drawn_case(kind, index), keep / name, keep / f"{name}.json"
     if not truth.exists():
-        blind_cases.write_recording(case, folder)
-        blind_cases.write_truth(case, truth, index=index, strengths=strength(case))
+        random_blind_platform_cases_with_truth.write_recording(case, folder)
+        random_blind_platform_cases_with_truth.write_truth(case, truth, index=index, strengths=strength(case))
     return case, recording_folder.load_recording(folder), truth
 
 
@@ -210,7 +216,7 @@ def line(kind: str, case: diagnosis_score.Case) -> str:
     return f"{kind} {case.index}: hidden {hidden}; found {found}" + (f"; remarks {remarks}" if remarks else "")
 
 
-def true(case: blind_cases.DrawnCase, sampled: Sampled) -> ImageFigures:
+def true(case: random_blind_platform_cases_with_truth.DrawnCase, sampled: Sampled) -> ImageFigures:
     """Told of a case's measurement."""
     m, T = sampled.measurement, case.simulation.run.T_base_platform
     errors = pose_difference(m.T_base_platform, T[m.frames])
@@ -227,7 +233,7 @@ def true(case: blind_cases.DrawnCase, sampled: Sampled) -> ImageFigures:
     )
 
 
-def true_corners(case: blind_cases.DrawnCase, observations: Observations) -> np.ndarray:
+def true_corners(case: random_blind_platform_cases_with_truth.DrawnCase, observations: Observations) -> np.ndarray:
     """(n, 2) px where the observed corners of a DrawnCase really are."""
     done, o = case.simulation, observations
     sighting, row = np.unique(np.stack([o.camera, o.frame, o.marker], axis=1), axis=0, return_inverse=True)

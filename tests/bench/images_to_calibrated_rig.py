@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
-from calib.correction.correction import calibrate_correction
+from calib.correction.correction import fit_geometry_and_remainder_of_correction
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.recording import recording_folder, recording_tables
+from rig.recording import corner_and_pose_csv_tables, recording_folder
 from tests.cli import RIG
 from tests.conftest import SHARED
 
@@ -59,7 +59,7 @@ def _measured(folder, name, wanted, clock, limit):
     seconds = time.perf_counter() - start
     if clock:
         yield clock, f"{seconds:.1f} s", limit
-    poses = recording_tables.load_poses(folder / name / "poses.csv")
+    poses = corner_and_pose_csv_tables.load_poses(folder / name / "poses.csv")
     true = RigidTransform.from_matrix(np.array(_truth(name)["poses"]).reshape(-1, 4, 4))
     errors = pose_difference(poses.T_base_platform, true[poses.frame])
     position, rotation = _rms(errors)
@@ -105,7 +105,7 @@ def _workspace():
         platform_joints=truth["platform_joints"],
         strut_zeros=truth["strut_zeros"],
     )
-    correction, found = calibrate_correction(sample_recording(folder).samples, nominal)
+    correction, found = fit_geometry_and_remainder_of_correction(sample_recording(folder).samples, nominal)
     rng = np.random.default_rng(0)
     lengths = nominal.strut_range.mean(axis=1) + 0.45 * np.ptp(nominal.strut_range, axis=1) * rng.uniform(
         -1, 1, (2000, 6)
@@ -134,7 +134,7 @@ def _unused(name):
     folder = recording_folder.load_recording(SHARED / "recordings" / name)
     samples = sample_recording(folder).samples
     half = np.arange(len(samples)) < len(samples) // 2
-    correction, _ = calibrate_correction(samples.take(half), folder.design.mechanism)
+    correction, _ = fit_geometry_and_remainder_of_correction(samples.take(half), folder.design.mechanism)
     rest = samples.take(~half)
     held = compare_errors(
         *errors_before_and_after_correction(correction, rest), rest.total_covariance(), np.random.default_rng(0)

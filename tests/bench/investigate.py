@@ -18,14 +18,14 @@ import numpy as np
 
 from calib.api.next_experiment import (
     Experiment,
-    available_plans,
+    available_experiment_plan_texts,
     evaluate_experiment,
     ranked_experiments_and_excluded_plans,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import NAME
 from calib.experiment.platform_diagnosis_questions import open_questions_of_platform_diagnosis as questions
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
@@ -33,7 +33,7 @@ from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.diagnose_recording import diagnosis_of
 from vision.recording_combination_and_moved_cameras import combine_recordings
 
@@ -101,7 +101,7 @@ class Case:
         self.folder, self.design, self.text, self.seed = folder, design, text, seed
         effects = () if truth is None else (require_existing_place(parse_effect(truth), design),)
         self.world, self.truth = (
-            secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(seed), 1.0, effects),
+            random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(seed), 1.0, effects),
             truth,
         )
         self.title = "" if truth is None else f"{effects[0].name.replace('_', ' ')} at {effects[0].place}"
@@ -139,7 +139,7 @@ def settle(case, first, found, pick, looks=LOOKS) -> tuple[Diagnosis, int, float
 def best(design) -> Callable[..., Experiment | None]:
     def chosen(open_questions, number, left):
         found, _ = ranked_experiments_and_excluded_plans(
-            open_questions, design, available_plans(("payload", "wait"), False), number, left
+            open_questions, design, available_experiment_plan_texts(("payload", "wait"), False), number, left
         )
         return found[0] if found and found[0].bits > 0.01 else None
 
@@ -149,7 +149,7 @@ def best(design) -> Callable[..., Experiment | None]:
 def at_random(design, rng) -> Callable[..., Experiment | None]:
     def random(open_questions, number, left):
         for text in rng.permutation(
-            [text for text in available_plans(("payload", "wait"), False) if not text.startswith(NAME)]
+            [text for text in available_experiment_plan_texts(("payload", "wait"), False) if not text.startswith(NAME)]
         ):
             try:
                 found = evaluate_experiment(open_questions, design, str(text), number)

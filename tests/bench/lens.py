@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.calibration_board import parse_board
+from rig.model.calibration_board_layout_and_description_parsing import parse_board
 from rig.model.design import Camera
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -24,13 +24,16 @@ from rig.recording import recording_folder
 from tests.conftest import SHARED
 from tests.vision.drawn_observations import scene
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import crossvalidate_adjustment
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
+    estimate_after_step,
+    offset_from_stated,
+)
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated, update_estimate
 from vision.corner_observations import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection_and_corner_fit import detect_markers
-from vision.lenses import board_corners_in_photograph as boards
+from vision.lenses import calibration_board_corner_detection_in_photograph as boards
 from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
 from vision.predict import MarkerMap, State, marker_map, predict_corners
 from vision.recording_adjustment import measure_observations
@@ -197,7 +200,7 @@ def _scipys(observations, begin, stated):
     W, k, frames = whitener_of_observations(observations), u.basis.shape[1], len(observations.frames)
 
     def residual(p):
-        moved = update_estimate(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
+        moved = estimate_after_step(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
         seen = W(observations.uv - predict_corners(observations, moved.state)[0]).ravel()
         return np.r_[seen, (u.prior * offset_from_stated(moved, stated, u))[u.prior > 0]]
 

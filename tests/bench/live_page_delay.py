@@ -13,26 +13,26 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calib.online.live_learner_and_run_state import Learner
+from calib.online.live_learner_limb_watch_run_state_and_display import Learner
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from calib.online.web_page_of_ongoing_run import RunPage
-from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import Frame, SynchronisedCameras
 from rig.driving.clock import SystemClock
 from rig.driving.driver_opening_and_settling import parse_settling
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.run_journal import Began, Journal
-from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from synthetic.image_simulation import Images
+from vision.reading.corner_reading_from_recording_images import read_image
 from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
-from vision.reading.parallel_image_map_and_marker_rendering import save_image
-from vision.reading.recording_corners import read_image
+from vision.reading.parallel_image_map_marker_rendering_and_white_level import save_image
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other
@@ -85,7 +85,7 @@ def _run(folder):
         f"sobol:{FRAMES}",
     )
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng), build_plan(design, plan), rng
+        random_true_machine_and_truth_file.random_true_machine(design, rng), build_plan(design, plan), rng
     )
     recording_simulation.write_recording(
         done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.certification import measuring_limb_identification_and_agreement
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
 from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
@@ -21,7 +21,7 @@ from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_o
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import sample_recording
-from rig.formats.exporters import geometry_and_camera_files
+from rig.formats.exporters import geometry_compensation_and_camera_file_exports
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
@@ -29,7 +29,7 @@ from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.noisy_samples import sampled
 from tests.calib.pose_streams import found_within, learnt, missed_step, stream
 from tests.calib.random_hexapods import worst_jacobian
@@ -185,10 +185,13 @@ def _jumps(design):
 
 
 def _exports(design):
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(0)).true
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(0)).true
     commands = configuration_generators.sobol_configurations(true.mechanism.strut_range, 200, 0.9)
     theirs = genhex_forward(
-        geometry_and_camera_files.genhexkins_settings(true.mechanism), commands, design.mechanism.home, 1e3
+        geometry_compensation_and_camera_file_exports.genhexkins_settings(true.mechanism),
+        commands,
+        design.mechanism.home,
+        1e3,
     )
     worst = np.linalg.norm(pose_difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
     yield (
@@ -207,19 +210,21 @@ def _limbs():
         path.write_text(text)
         design, rng = design_from_rig_toml.load_design(path), np.random.default_rng(0)
         done = recording_simulation.simulate_world(
-            secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "axes:9,sobol:150"), rng
+            random_true_machine_and_truth_file.random_true_machine(design, rng),
+            plan.build_plan(design, "axes:9,sobol:150"),
+            rng,
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load_recording(Path(folder) / "rec")
-        frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(read)
+        frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(read)
         samples, nominal = (
-            measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
+            measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
                 sample_recording(read).samples, frames, lengths
             ),
-            measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
+            measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
         )
-    T, expected = measuring_limb_identification_and_agreement.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_identification_and_agreement.limb_agreement(
+    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 2e-4)
     )
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
@@ -231,7 +236,7 @@ def _limbs():
             f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}",
             "50 um, 200 urad",
         )
-    limbs, _ = measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.model.calibration_board import parse_board
+from rig.model.calibration_board_layout_and_description_parsing import parse_board
 from rig.model.design import Camera
-from vision.lenses import board_corners_in_photograph as boards
+from vision.lenses import calibration_board_corner_detection_in_photograph as boards
 from vision.lenses.lens_calibration import calibrate_lens, observations_from_board_views
 
 BOARD = "charuco:7x5:0.03:0.022:DICT_5X5_100"

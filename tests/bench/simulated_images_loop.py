@@ -10,14 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from synthetic import recording_simulation, rig_meshes, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation, rig_meshes
 from synthetic.ideal_image_renderer import SAMPLES
-from synthetic.marker_drawing_sensor_and_occlusion import expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from tests.cli import RIG
 from tests.conftest import ROOT
 from tests.rig.effects.test_effects import SOME
@@ -73,7 +73,7 @@ def _speed(folder, design):
     )
     from synthetic.ideal_image_renderer import Renderer
 
-    renderer = Renderer(rig_meshes.rig_parts(design), design)
+    renderer = Renderer(rig_meshes.rig_and_background_meshes(design), design)
     rng, sensor, parts = (
         np.random.default_rng(0),
         Sensor(blur=0.5, read_noise=1.5),
@@ -87,7 +87,7 @@ def _speed(folder, design):
         marks.append(time.perf_counter())
         radiance = renderer.draw("cam0", design.mechanism.home)
         marks.append(time.perf_counter())
-        image = expose_image(radiance, sensor, rng, SAMPLES)
+        image = simulate_sensor_exposure(radiance, sensor, rng, SAMPLES)
         marks.append(time.perf_counter())
         cv2.imwrite(str(folder / "x.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         marks.append(time.perf_counter())
@@ -107,7 +107,7 @@ def _corner_level(design, folder, text):
     start = time.perf_counter()
     rng = np.random.default_rng(1)
     effects = tuple(parse_effect(f"{name}:{place}") for name, place in SOME.items() if name != "marker_swap")
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, effects=effects)
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, effects=effects)
     done = recording_simulation.simulate_world(
         secret, plan.build_plan(design, "sobol:190,moving:154,payload:12", 1), rng
     )

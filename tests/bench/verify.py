@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import beta
 
 from calib.certification.claim_verification import Verification, verify_claim
-from calib.certification.error_claim_over_workspace import Claim
+from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.samples.pose_samples import Samples
 from rig.model.pose import exp
 

@@ -11,27 +11,27 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.correction.correction_as_c_source import correction_c_source
-from calib.correction.interpolation.field_interface_and_combinations import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
+    correction_with_pose_space_map,
+    fit_field,
+    home_pose,
+)
+from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import correction_c_source
+from calib.correction.interpolation.gaussian_process import fit_gaussian_process
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
     RestrictedMap,
     SpacePart,
     SummedPasses,
 )
-from calib.correction.interpolation.gaussian_process import fit_gaussian_process
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
-    correction_with_pose_space_map,
-    fit_field,
-    home_pose,
-)
 from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.correction import ArmCorrection
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector
 from rig.planning import configuration_generators
 from rig.recording.recording_folder import Sensors
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.calib.correction.test_physics import physics_of
 
 COMPILER = shutil.which("cc")
@@ -171,7 +171,7 @@ def field_samples(design, kind):
 
 def fitted(design, seed=4):
     """A Correction whose geometry is another than the nominal one."""
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(seed)).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(seed)).true.mechanism
     return Correction(design.mechanism, true, (None,) * 6)
 
 

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import calibrate_correction
-from calib.drift.visit_configurations import choose_visit_configurations
+from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.drift.choice_and_order_of_visit_configurations import choose_visit_configurations
 from calib.samples.pose_samples import sample_recording
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.planning import plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
+from synthetic import random_true_machine_and_truth_file as world
 from synthetic import recording_simulation
-from synthetic import secret_machine_and_truth_file as world
 
 NOISE = 0.04  # px
 ROOM = 20.0  # degrees Celsius
@@ -55,13 +55,13 @@ def rig(design, text, seed, folder, poses=80):
     not known.
     """
     rng = np.random.default_rng(seed)
-    secret = world.draw_machine(design, rng, 1.0, tuple(map(parse_effect, ALWAYS)))
+    secret = world.random_true_machine(design, rng, 1.0, tuple(map(parse_effect, ALWAYS)))
     route = plan.build_plan(design, f"sobol:{poses}", seed)
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, route, rng, _weather(route, ROOM, 0.0)), folder, text, rng, NOISE
     )
     sampled = sample_recording(recording_folder.load_recording(folder))
-    correction, found = calibrate_correction(sampled.samples, design.mechanism)
+    correction, found = fit_geometry_and_remainder_of_correction(sampled.samples, design.mechanism)
     made = Calibration(correction, found.covariance, found.scatter, tuple(sampled.samples.frame.tolist()), (), None, {})
     return Rig(secret, text, made, visits_of(design, made))
 

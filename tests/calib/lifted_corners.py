@@ -8,7 +8,7 @@ import numpy as np
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from vision.predict import marker_map
 
 
@@ -38,7 +38,9 @@ def recording_with_lifted_corner(folder, design, number, corner, height, route, 
     """Recording of a secret machine without effects, one corner lifted as above. noise : px"""
     rng = np.random.default_rng(seed)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, ()), plan.build_plan(design, route, seed), rng
+        random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, ()),
+        plan.build_plan(design, route, seed),
+        rng,
     )
     recording_simulation.write_recording(
         done,

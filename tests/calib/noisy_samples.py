@@ -8,7 +8,7 @@ from calib.samples.pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_generators
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
 COMMON = np.array([1e-5, 1e-5, 1e-5, 2e-5, 2e-5, 2e-5])
@@ -21,7 +21,7 @@ def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, 
     commands : (count, 6) m, low-discrepancy ones by default; own : (6,) m, rad of a pose's noise, then nothing is
         shared"""
     rng = np.random.default_rng(seed)
-    true = secret_machine_and_truth_file.draw_machine(design, rng).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, rng).true.mechanism
     commands = (
         configuration_generators.sobol_configurations(design.mechanism.strut_range, count, 0.9, seed)
         if commands is None

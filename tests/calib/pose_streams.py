@@ -11,7 +11,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.calib.noisy_samples import OWN
 
 COVARIANCE = np.diag(OWN**2)
@@ -35,7 +35,7 @@ def stream(design, seed, count, at=None, jump=None, moved=None):
     (6,).
     """
     rng = np.random.default_rng(seed)
-    before = secret_machine_and_truth_file.draw_machine(design, rng).true.mechanism
+    before = random_true_machine_and_truth_file.random_true_machine(design, rng).true.mechanism
     after = before if jump is None else mechanism_with_parameters(before, geometric_parameters(before) + jump)
     commands = sobol_configurations(design.mechanism.strut_range, count, 0.9, seed)
     split = count if at is None else at
@@ -61,7 +61,7 @@ def sigma_of(learner, strut):
     """m, standard error with which the last pose alone told the length of a strut (1..6), everything else as known
     then.
     """
-    from calib.online.filter_kernels_and_change_detection import KINDS, WINDOW
+    from calib.online.information_filter_kernels_and_change_detection import KINDS, WINDOW
 
     total = learner.state.estimate.sums[(learner.state.learnt - 1) % WINDOW]
     return float(total[1 + KINDS + (KINDS + 1) * (strut - 1)] ** -0.5)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 
 PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 
@@ -14,7 +14,7 @@ PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=True):
     """Recording of a secret machine with effects (texts or Effects), its temperatures logged or not. noise : px"""
     rng = np.random.default_rng(seed)
-    secret = secret_machine_and_truth_file.draw_machine(
+    secret = random_true_machine_and_truth_file.random_true_machine(
         design, rng, 1.0, tuple(parse_effect(e) if isinstance(e, str) else e for e in effects)
     )
     recording_simulation.write_recording(

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import Certified
-from calib.correction.correction import calibrate_correction
-from calib.diagnosis.findings_refit import findings_of_diagnosis, refit_platform_with_findings
+from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis, refit_platform_with_findings
 from calib.models.wanted_pose_commands import commands_along_route, pace_that_holds_poses_at_times
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
@@ -19,7 +19,7 @@ from rig.model.pose import pose_difference
 from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.noisy_samples import rms
 
@@ -44,7 +44,7 @@ class Driven:
 def write(folder, design, text, seed, effects, route):
     """(Recording at a folder, World) of a rig with effects. text : its rig.toml"""
     rng = np.random.default_rng(seed)
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, tuple(effects))
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, tuple(effects))
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, route, seed), rng), folder, text, rng, 0.04
     )
@@ -57,7 +57,7 @@ def learnt(rec, sampled, findings, remainder="find"):
     remainder : "none" for no such thing"""
     refitted = None if findings is None else refit_platform_with_findings(rec, sampled, findings)
     samples = sampled.samples if refitted is None else refitted.samples
-    correction, found = calibrate_correction(samples, rec.design.mechanism, remainder)
+    correction, found = fit_geometry_and_remainder_of_correction(samples, rec.design.mechanism, remainder)
     done = Certified(correction, found, np.arange(len(samples)), None)
     physics, covariance = (None, found.covariance) if refitted is None else refitted.with_geometry(done)
     return Calibration(
@@ -75,7 +75,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
         configuration_generators.sobol_configurations(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m
     )
     t = 30 + np.cumsum(rng.uniform(8, 40, poses))
-    true, log = secret_machine_and_truth_file.draw_temperatures(t[-1], rng)
+    true, log = random_true_machine_and_truth_file.random_true_and_logged_temperatures(t[-1], rng)
     payload = np.where(true.t % (2 * LOAD_EVERY) < LOAD_EVERY, 0.0, 0.6 * (secret.stated.platform.mass or 0.0))
     true, log = (replace(s, channels={**s.channels, "payload_mass_kg": payload}) for s in (true, log))
     done = commands_along_route(

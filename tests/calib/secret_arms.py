@@ -8,7 +8,7 @@ from calib.models.arm import error_model_and_observations
 from calib.samples.pose_samples import Samples
 from rig.model.design import Actuator, Design, Instrument, Platform
 from rig.model.pose import exp, log, pose, pose_difference, pose_to_vector
-from rig.recording.recording_tables import POSE_COLUMNS, write_table
+from rig.recording.corner_and_pose_csv_tables import POSE_COLUMNS, write_table
 from tests.rig.arms import configurations
 
 TRACKER = Instrument("free", "free", 2e-5, 1e-4)

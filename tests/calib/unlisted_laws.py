@@ -10,7 +10,7 @@ from rig.effects.framework.effect import Effect
 from rig.model import motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 
 WARM = (
     "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the room and the struts warm each in its own way
@@ -155,7 +155,7 @@ def recorded(folder, design, text, number, seed, seen=2.5e-5):
     route = plan.build_plan(design, WARM if number == 2 else PLAN, seed)
     effect, covariates = drawn(number, np.random.default_rng([number, seed]), float(route.t[-1]))
     bare = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(seed), 1.0, ()),
+        random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(seed), 1.0, ()),
         route,
         np.random.default_rng(seed),
     )
@@ -170,7 +170,7 @@ def recorded(folder, design, text, number, seed, seen=2.5e-5):
     left = lengths - lines @ np.linalg.lstsq(lines, lengths, rcond=None)[0]
     size = fields(effect)[1 if number not in (0, 5) else 2 if number == 0 else 1].name
     effect = replace(effect, **{size: getattr(effect, size) * seen / np.sqrt(np.mean(left[:, left.any(axis=0)] ** 2))})
-    secret = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(seed), 1.0, (effect,))
+    secret = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(seed), 1.0, (effect,))
     rng = np.random.default_rng(seed)
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, route, rng), folder, text, rng, 0.04

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from rig.recording.recording_tables import Poses
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from rig.recording.corner_and_pose_csv_tables import Poses
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 
 POSE = np.array([5e-6] * 3 + [3e-5] * 3)  # m, rad; noise of a pose, as stated
 ROUTE = "sobol:60,ladder:4,moving:12"
@@ -22,7 +22,7 @@ def posed(folder, design, effects, seed, route=ROUTE):
     """Recording of a secret hexapod whose poses an instrument measured."""
     rng = np.random.default_rng(seed)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, tuple(map(parse_effect, effects))),
+        random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, tuple(map(parse_effect, effects))),
         plan.build_plan(design, route, seed),
         rng,
     )

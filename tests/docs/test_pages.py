@@ -15,9 +15,12 @@ from typing import get_args
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
-from rig.cli.command_execution import functions_of_command, join_command_words
-from rig.cli.command_list import COMMANDS
-from rig.cli.shared.common_options import add_common_options
+from rig.cli.command_import_execution_and_exit_status import (
+    argument_adder_and_runner_of_command,
+    join_command_words_and_find_earlier_name,
+)
+from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS
+from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_common_options
 from rig.errors import FileError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 from rig.recording.recording_folder import load_recording
@@ -121,8 +124,8 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 
 
 def parsed(words: list[str]) -> argparse.Namespace:
-    words, parser = join_command_words(words)[0], argparse.ArgumentParser(exit_on_error=False)
-    functions_of_command(words[0])[0](parser)
+    words, parser = join_command_words_and_find_earlier_name(words)[0], argparse.ArgumentParser(exit_on_error=False)
+    argument_adder_and_runner_of_command(words[0])[0](parser)
     add_common_options(parser, words[0])
     return parser.parse_args(words[1:])
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import tomlkit
 
-from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
-from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
+from rig.driving.cameras.opencv_uvc_gstreamer_and_network_cameras import gstreamer_pipeline_problem
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from tests.conftest import ROOT

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
 from rig.recording.frame_selection_and_content_hashes import select_hand
 from rig.recording.recording_folder import load_recording
-from rig.recording.recording_tables import Poses, write_poses
 from tests.cli import run
 from tests.conftest import ROOT
 from tests.docs.document_commands import commands, words

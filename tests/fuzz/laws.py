@@ -11,14 +11,14 @@ from types import SimpleNamespace
 
 from calib.files import calibration_file
 from calib.models import machine_models
-from rig.driving.cameras.opencv_camera import gstreamer_pipeline_problem
+from rig.driving.cameras.opencv_uvc_gstreamer_and_network_cameras import gstreamer_pipeline_problem
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key, toml_entries
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
-from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
+from rig.formats.output_files.atomic_file_writing_and_process_locks import escape_unprintable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Actuator
-from rig.model.protocol_and_port_names import SCHEMES, port_problem
+from rig.model.protocol_port_and_user_program_name_checks import SCHEMES, port_problem
 from rig.report.pages import run_page_server
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

@@ -14,7 +14,7 @@ from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.online.hexapod_information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_texts_and_user_effect_files import (
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     parse_effect,
     require_existing_place,
     require_known_effect,
@@ -25,14 +25,14 @@ from rig.formats.importers import exposures_from_image_names as frames
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import calibration_board
+from rig.model import calibration_board_layout_and_description_parsing
 from rig.model.pose import TRIANGLE
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
+from rig.recording.corner_and_pose_csv_tables import COVARIANCE_COLUMNS, load_corners, load_poses
 from rig.recording.exposures_and_image_files import image_file_problem, load_exposures
-from rig.recording.recording_tables import COVARIANCE_COLUMNS, load_corners, load_poses
-from synthetic import diagnosis_score, recording_simulation, secret_machine_and_truth_file
+from synthetic import diagnosis_score, random_true_machine_and_truth_file, recording_simulation
 from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws
 
@@ -53,7 +53,9 @@ def readers(folder: Path) -> list[Reader]:
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     rng = np.random.default_rng(1)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)),
+        random_true_machine_and_truth_file.random_true_machine(
+            design, rng, 1.0, (parse_effect("backlash:strut2:gap=4e-5"),)
+        ),
         plan.build_plan(design, "sobol:3"),
         rng,
     )
@@ -119,7 +121,7 @@ def _json(folder, design, done):
         ),
     )
     Online(m).save(folder / "state.json")
-    secret_machine_and_truth_file.write_truth(
+    random_true_machine_and_truth_file.write_truth(
         folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0]
     )
     finding = {
@@ -135,7 +137,7 @@ def _json(folder, design, done):
         return ((folder / name).read_bytes(),)
 
     def judged(case):
-        return diagnosis_score.campaign_figures([case]), diagnosis_score.campaign_medians([case])
+        return diagnosis_score.campaign_rates_with_intervals([case]), diagnosis_score.campaign_medians([case])
 
     def record(path):
         (folder / "diagnoses" / "0001.json").write_bytes(path.read_bytes())
@@ -145,7 +147,9 @@ def _json(folder, design, done):
         Reader("calibration.json", seed("calibration.json"), calibration_file.load),
         Reader("state.json", seed("state.json"), Online.load),
         Reader(
-            "truth.json", seed("truth.json"), lambda path: secret_machine_and_truth_file.world_from_truth(path, design)
+            "truth.json",
+            seed("truth.json"),
+            lambda path: random_true_machine_and_truth_file.world_from_truth(path, design),
         ),
         Reader("sealed truth", seed("truth.json"), lambda path: judged(diagnosis_score.score_case(1, path, None))),
         Reader(
@@ -201,7 +205,7 @@ def _texts(design):
                 b"aruco:8x6:0.03:0.01:DICT_5X5_100",
                 b"aprilgrid:6x6:0.03:0.01:DICT_APRILTAG_36h11",
             ),
-            of(calibration_board.parse_board),
+            of(calibration_board_layout_and_description_parsing.parse_board),
         ),
         Reader("trials", (b"3,7-9", b"1"), of(lambda text: parse_case_numbers(text, 100))),
     ]

@@ -43,8 +43,8 @@ def protocol(request):
 @pytest.fixture
 def ready(driven_design, protocol):
     """(driver, emulator, clock, home lengths) of a rig that is homed."""
-    from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-    from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+    from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
+    from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, protocol, (), 1)
     driver.open()

@@ -11,7 +11,7 @@ with atheris.instrument_imports(
         "rig.driving.protocols",
         "rig.driving.request_and_answer_exchange_with_controller",
         "rig.driving.emulators.native_strut_protocol",
-        "rig.driving.emulators.emulator_base_classes",
+        "rig.driving.emulators.emulator_base_true_command_log_and_user_emulators",
     ]
 ):
     from tests.rig.random_bytes import answers, requests

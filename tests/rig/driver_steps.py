@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.driving.emulators.emulated_axes_and_faults import FaultOrder
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import FaultOrder
 
 STEP = np.array([1, -1, 1, 0.5, 0.25, -1]) * 1e-3
 

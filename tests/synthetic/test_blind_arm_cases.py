@@ -8,31 +8,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.effect_signal_to_noise_and_separation import arm_effect_signal_to_noise
+from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import arm_effect_signal_to_noise
 from rig.cli import command_line
 from rig.recording import recording_folder
-from synthetic import blind_arm_cases
+from synthetic import random_blind_arm_cases_with_truth
 
 
 @pytest.fixture(scope="module")
 def case():
-    return blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
+    return random_blind_arm_cases_with_truth.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
 
 
 def written(case, folder, *hard):
-    blind_arm_cases.write_recording(replace(case, hard=hard, rng=np.random.default_rng(1)), folder)
+    random_blind_arm_cases_with_truth.write_recording(replace(case, hard=hard, rng=np.random.default_rng(1)), folder)
     return recording_folder.load_recording(folder)
 
 
 def test_the_same_case_is_drawn_again_and_a_third_is_hard(case):
-    redrawn = blind_arm_cases.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
+    redrawn = random_blind_arm_cases_with_truth.draw_arm_case(5, 1, 60, ["one"], ["scale_error"])
     assert (
         redrawn.simulation.world.effects == case.simulation.world.effects
         and redrawn.text == case.text
         and redrawn.hard == ()
     )
     assert all(
-        bool(blind_arm_cases.draw_arm_case(5, i, 30, ["nothing"]).hard) == (i % blind_arm_cases.HARD == 0)
+        bool(random_blind_arm_cases_with_truth.draw_arm_case(5, i, 30, ["nothing"]).hard)
+        == (i % random_blind_arm_cases_with_truth.HARD == 0)
         for i in range(1, 7)
     )
 

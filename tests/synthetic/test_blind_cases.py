@@ -14,37 +14,39 @@ from rig.cli import command_line
 from rig.cli import simulate_blind as command
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError
 from rig.model import arm_hands_effect_places_and_tolerances, motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import (
-    blind_cases,
     diagnosis_score,
+    random_blind_platform_cases_with_truth,
+    random_true_machine_and_truth_file,
     recording_simulation,
-    secret_machine_and_truth_file,
     unlisted_effects_and_corner_noise,
 )
 
 
 def test_a_schedule_deals_every_kind_and_every_effect_alike():
-    dealt = [blind_cases.schedule_effects(3, i)[:2] for i in range(1, 24 * 23)]
+    dealt = [
+        random_blind_platform_cases_with_truth.random_case_kind_and_effect_numbers(3, i)[:2] for i in range(1, 24 * 23)
+    ]
     kinds = [kind for kind, _ in dealt]
-    assert {kind: round(kinds.count(kind) / len(kinds) * 23) for kind in blind_cases.KINDS} == blind_cases.TIMES
-    assert {kind: {len(numbers) for k, numbers in dealt if k == kind} for kind in blind_cases.KINDS} == {
-        "nothing": {0},
-        "one": {1},
-        "two": {2},
-        "foreign": {0},
-        "noise": {0},
-    }
+    assert {
+        kind: round(kinds.count(kind) / len(kinds) * 23) for kind in random_blind_platform_cases_with_truth.KINDS
+    } == random_blind_platform_cases_with_truth.TIMES
+    assert {
+        kind: {len(numbers) for k, numbers in dealt if k == kind}
+        for kind in random_blind_platform_cases_with_truth.KINDS
+    } == {"nothing": {0}, "one": {1}, "two": {2}, "foreign": {0}, "noise": {0}}
     count = np.bincount([n for _, numbers in dealt for n in numbers], minlength=len(ALL))
     assert np.ptp(count) <= 2  # the deck is cut at both ends
     assert (
-        blind_cases.schedule_effects(3, 7)[:2] == dealt[6]
-        and blind_cases.schedule_effects(4, 7)[2].random() != blind_cases.schedule_effects(3, 7)[2].random()
+        random_blind_platform_cases_with_truth.random_case_kind_and_effect_numbers(3, 7)[:2] == dealt[6]
+        and random_blind_platform_cases_with_truth.random_case_kind_and_effect_numbers(4, 7)[2].random()
+        != random_blind_platform_cases_with_truth.random_case_kind_and_effect_numbers(3, 7)[2].random()
     )
 
 
@@ -53,7 +55,9 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
     rng = np.random.default_rng(1)
     route = plan.build_plan(design, "sobol:4", 1)
     for _ in range(6):
-        effect = check_effect_place_and_parameter_bounds(blind_cases._effect(kind, design, route, rng))
+        effect = require_valid_effect_place_and_parameters(
+            random_blind_platform_cases_with_truth._effect(kind, design, route, rng)
+        )
         assert effect.name == kind.name and any(np.any(v) for v in effect.values().values())
     if kind.name == "lens_distortion":
         assert (
@@ -61,7 +65,9 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
             < np.std(
                 np.subtract(
                     *[
-                        blind_cases.lens.project(np.array([[0.3, 0.2, 1.0]]), c.matrix, c.distortion)
+                        random_blind_platform_cases_with_truth.lens.project(
+                            np.array([[0.3, 0.2, 1.0]]), c.matrix, c.distortion
+                        )
                         for c in (effect.camera(design.cameras[0]), design.cameras[0])
                     ]
                 )
@@ -76,9 +82,9 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
     monkeypatch.setattr(unlisted_effects_and_corner_noise, "OUT_OF_CATALOGUE", (kind,))
     rng = np.random.default_rng(2)
     route = plan.build_plan(design, "moving:8,sobol:8", 1)
-    foreign = unlisted_effects_and_corner_noise.draw_unlisted_effect(design, route.t[-1], rng)
+    foreign = unlisted_effects_and_corner_noise.random_unlisted_effect(design, route.t[-1], rng)
     assert foreign.name == kind.name and kind.name not in BY_NAME
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (foreign,))
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, (foreign,))
     bent = recording_simulation.simulate_world(secret, route, np.random.default_rng(5))
     plain = recording_simulation.simulate_world(replace(secret, effects=()), route, np.random.default_rng(5))
     found, uv = recording_simulation.visible_marker_sightings_and_corners(bent)
@@ -96,7 +102,7 @@ def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_cat
 def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     rng = np.random.default_rng(3)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "sobol:30"), rng
+        random_true_machine_and_truth_file.random_true_machine(design, rng), plan.build_plan(design, "sobol:30"), rng
     )
     clean = recording_simulation.noisy_corners(done, 0.0, rng)
     off = disturb(clean, design, 0.05, rng).uv - clean.uv
@@ -109,7 +115,7 @@ def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
 )
 def test_what_is_withheld_is_away(withheld, gone):
     for index in (1, 2):
-        case = blind_cases.draw_case(6, index, 60, (withheld,), ("nothing",))
+        case = random_blind_platform_cases_with_truth.draw_case(6, index, 60, (withheld,), ("nothing",))
         assert gone not in case.simulation.log.channels and "payload_mass_kg" in case.simulation.log.channels
         assert (withheld not in ("payload",)) or not case.simulation.log.channels["payload_mass_kg"].any()
         if withheld in ("motion", "reversals"):
@@ -264,7 +270,7 @@ def test_answers_are_judged():
     missed = case([lag])
     f = {
         g.name: (g.hits, g.trials)
-        for g in diagnosis_score.campaign_figures(
+        for g in diagnosis_score.campaign_rates_with_intervals(
             [
                 right,
                 allowed,
@@ -294,7 +300,7 @@ def test_answers_are_judged():
     }
     both = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), lag], "two")
     half = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), ("creep", "rig")], "two")
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_figures([both, half])}
+    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_rates_with_intervals([both, half])}
     assert f["two effects: both named"] == (1, 2) and f["two effects: no wrong name"] == (1, 2)
     assert half.seen_as(half.hidden[0]) == "creep"
     foreign = [
@@ -305,7 +311,7 @@ def test_answers_are_judged():
             ([], False),
         )
     ]
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_figures(foreign)}
+    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_rates_with_intervals(foreign)}
     assert f["outside the catalogue: called unknown"] == (1, 3) and f["outside the catalogue: no name given"] == (2, 3)
 
 
@@ -317,10 +323,10 @@ def test_intervals_are_held_to_the_truth():
         {"amplitude": (1.1, [0.9, 1.3]), "phase": (-3.1, [-3.3, -2.9]), "order": (1.4, [1.3, 1.45])},
         [],
     )
-    assert diagnosis_score.interval_coverage(hidden, found) == [True, True, False]
+    assert diagnosis_score.do_parameter_intervals_cover_truth(hidden, found) == [True, True, False]
     assert (
-        diagnosis_score.interval_coverage(hidden, replace(found, place="strut 2")) == []
-        and diagnosis_score.interval_coverage(hidden, None) == []
+        diagnosis_score.do_parameter_intervals_cover_truth(hidden, replace(found, place="strut 2")) == []
+        and diagnosis_score.do_parameter_intervals_cover_truth(hidden, None) == []
     )
 
 
@@ -343,12 +349,12 @@ def test_what_is_no_campaign_is_said(tmp_path):
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
-    from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
+    from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import platform_effect_signal_to_noise
 
     effects = (parse_effect("backlash:strut2:gap=5e-5"), parse_effect("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, effects),
+        random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, effects),
         plan.build_plan(design, "sobol:30,ladder:1", 1),
         rng,
     )
@@ -405,21 +411,27 @@ def test_a_campaign_end_to_end(tmp_path, capsys):
 
 
 def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance():
-    cases = [blind_cases.draw_case(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
-    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(blind_cases.RESOLUTIONS)
-    assert {t.image_settings.lens for t in cases} == set(blind_cases.LENSES) and all(
+    cases = [
+        random_blind_platform_cases_with_truth.draw_case(8, index, 40, (), ("one",), (), True) for index in range(1, 7)
+    ]
+    assert {(t.image_settings.width, t.image_settings.height) for t in cases} == set(
+        random_blind_platform_cases_with_truth.RESOLUTIONS
+    )
+    assert {t.image_settings.lens for t in cases} == set(random_blind_platform_cases_with_truth.LENSES) and all(
         t.image_settings.lens in t.text for t in cases
     )
     for t in cases:
         (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
-        assert blind_cases.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
+        assert (
+            random_blind_platform_cases_with_truth.is_renderable(type(hidden)) and hidden in t.simulation.world.effects
+        )
         assert (
             printed.name == "printing"
             and np.std(printed.offsets) < arm_hands_effect_places_and_tolerances.PLACES.sigma * 1.3
             and np.any(printed.offsets)
         )
         assert np.abs(printed.scales).max() < 6 * arm_hands_effect_places_and_tolerances.SIDES.sigma
-        assert 0.0005 < t.noise < 0.05 and len(blind_cases.simulated_corners(t).frame) > 40
+        assert 0.0005 < t.noise < 0.05 and len(random_blind_platform_cases_with_truth.simulated_corners(t).frame) > 40
 
 
 def test_a_campaign_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
@@ -444,7 +456,7 @@ def test_an_effect_within_tolerances_is_rightly_a_remark():
         diagnosis_score.Case(1, "one", None, [elsewhere], [], False, 1.0, 1.0, remarks=(remark,)).match(elsewhere)
         is None
     )
-    figures = {f.name: f.hits for f in diagnosis_score.campaign_figures([case])}
+    figures = {f.name: f.hits for f in diagnosis_score.campaign_rates_with_intervals([case])}
     assert (
         figures["one effect: detected"]
         == figures["one effect: named first"]

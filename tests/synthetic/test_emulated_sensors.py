@@ -10,20 +10,20 @@ import pytest
 
 from rig.driving.cameras import CameraError, open_camera
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms, motion_simulation
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design
 from rig.recording.recording_folder import Commands
-from synthetic import emulated_cameras, secret_machine_and_truth_file
+from synthetic import emulated_camera_images_sensors_and_server_process, random_true_machine_and_truth_file
 from synthetic.image_simulation import Images
 
 
 @pytest.fixture
 def secret(design):
-    return secret_machine_and_truth_file.draw_machine(
+    return random_true_machine_and_truth_file.random_true_machine(
         design, np.random.default_rng(3), 1.0, (parse_effect("backlash:strut2:gap=3e-4"),)
     )
 
@@ -36,7 +36,9 @@ def strut_history(design):
 
 
 def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, strut_history):
-    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: strut_history, SimulatedClock(105.0))
+    shown = emulated_camera_images_sensors_and_server_process.EmulatedCameras(
+        secret, Images(Sensor()), 1, lambda: strut_history, SimulatedClock(105.0)
+    )
     T = motion_simulation.simulate_machine_run(
         secret.true, Commands(strut_history[0] - 100, strut_history[1]), [5.0], secret.effects, None
     ).T_base_platform[0]
@@ -55,10 +57,12 @@ def test_what_is_shown_is_the_true_pose_with_what_the_way_did_to_it(secret, stru
 def test_an_arm_is_shown_where_its_joints_and_their_play_have_it():
     stated = load_shipped_arm_design("ur10")
     arm = stated.mechanism
-    world = secret_machine_and_truth_file.World(stated, stated, (parse_effect("backlash:joint2:gap=1e-3"),))
+    world = random_true_machine_and_truth_file.World(stated, stated, (parse_effect("backlash:joint2:gap=1e-3"),))
     q = np.array([0.3, -1.0, 1.4, 0.2, 0.9, -0.4])
     history = np.array([100.0, 101.0, 103.0, 104.0]), np.array([q, q, q + 0.2, q + 0.1])
-    shown = emulated_cameras.EmulatedCameras(world, Images(Sensor()), 1, lambda: history, SimulatedClock(105.0))
+    shown = emulated_camera_images_sensors_and_server_process.EmulatedCameras(
+        world, Images(Sensor()), 1, lambda: history, SimulatedClock(105.0)
+    )
     off = shown.pose(103.9)[:3, 3] - mechanisms.kinematics_of(arm).forward(q + 0.11, arm).translation
     assert 1e-4 < np.linalg.norm(off) < 2e-3  # of 1.2 m of arm beyond joint 2, whose play is 1 mrad
 
@@ -71,10 +75,12 @@ def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, strut_hist
             rows[0] = 4
         return strut_history[0][: rows[0]], strut_history[1][: rows[0]]
 
-    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, grows, clock)
+    shown = emulated_camera_images_sensors_and_server_process.EmulatedCameras(secret, Images(Sensor()), 1, grows, clock)
     np.testing.assert_allclose(
         shown.pose(104.0),
-        emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: strut_history, clock).pose(104.0),
+        emulated_camera_images_sensors_and_server_process.EmulatedCameras(
+            secret, Images(Sensor()), 1, lambda: strut_history, clock
+        ).pose(104.0),
         atol=1e-12,
     )
     assert clock.now() >= 104.6
@@ -85,7 +91,7 @@ def test_what_is_not_yet_told_is_waited_for_and_never_guessed(secret, strut_hist
 def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
     path = tmp_path / "history.csv"
     path.write_text("t,l1,l2\n")
-    strut_history = emulated_cameras.HistoryFromFile(path)
+    strut_history = emulated_camera_images_sensors_and_server_process.HistoryFromFile(path)
     with pytest.raises(RigError, match="does not yet state"):
         strut_history()
     with open(path, "a") as file:
@@ -103,10 +109,12 @@ def test_measuring_limbs_read_the_pose(design, strut_history, tmp_path):
     from rig.planning.layout import hexapod_layout_and_camera_placement
 
     (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)))
-    secret = secret_machine_and_truth_file.draw_machine(
+    secret = random_true_machine_and_truth_file.random_true_machine(
         design_from_rig_toml.load_design(tmp_path / "rig.toml"), np.random.default_rng(3)
     )
-    shown = emulated_cameras.EmulatedCameras(secret, Images(Sensor()), 1, lambda: strut_history, SimulatedClock(105.0))
+    shown = emulated_camera_images_sensors_and_server_process.EmulatedCameras(
+        secret, Images(Sensor()), 1, lambda: strut_history, SimulatedClock(105.0)
+    )
     limbs, T = secret.true.insitu, shown.pose(105.0)
     legs = limbs.platform_joints @ T[:3, :3].T + T[:3, 3] - limbs.base_joints
     read = shown.sensors(105.0)
@@ -121,7 +129,7 @@ def test_every_picture_is_of_its_own_moment(secret, strut_history, opengl):
     small = tuple(
         replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras
     )
-    shown = emulated_cameras.EmulatedCameras(
+    shown = emulated_camera_images_sensors_and_server_process.EmulatedCameras(
         replace(secret, true=replace(secret.true, cameras=small)),
         Images(Sensor()),
         1,
@@ -140,8 +148,8 @@ def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, strut_hi
     secret = replace(secret, true=replace(secret.true, cameras=small))
     clock, going = SystemClock(), [True]
     now = clock.now()
-    server = emulated_cameras.CameraServer(
-        emulated_cameras.EmulatedCameras(
+    server = emulated_camera_images_sensors_and_server_process.CameraServer(
+        emulated_camera_images_sensors_and_server_process.EmulatedCameras(
             secret, Images(Sensor(bits=12)), 1, lambda: (strut_history[0] - 105.0 + now + 3600, strut_history[1]), clock
         ),
         ("127.0.0.1", 0),

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from rig.model.design import Sensor
-from synthetic.marker_drawing_sensor_and_occlusion import BLACK, expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import BLACK, simulate_sensor_exposure
 
 FLAT = np.full((200, 300), 0.5, np.float32)
 
 
 def test_by_default_it_only_quantises():
-    image = expose_image(FLAT, Sensor(), np.random.default_rng(0))
+    image = simulate_sensor_exposure(FLAT, Sensor(), np.random.default_rng(0))
     assert image.dtype == np.uint8 and (image == round(BLACK + 115)).all()
 
 
 def test_twelve_bits_are_sixteen_times_finer():
-    image = expose_image(FLAT, Sensor(bits=12), np.random.default_rng(0))
+    image = simulate_sensor_exposure(FLAT, Sensor(bits=12), np.random.default_rng(0))
     assert image.dtype == np.uint16 and image.max() < 4096 and image[0, 0] == round((BLACK + 115) * 4095 / 255)
 
 
@@ -25,7 +25,7 @@ def test_twelve_bits_are_sixteen_times_finer():
 def test_noise_has_the_stated_variance(read, electrons):
     rng = np.random.default_rng(1)
     for light in (0.1, 0.8):
-        image = expose_image(
+        image = simulate_sensor_exposure(
             np.full((400, 400), light, np.float32), Sensor(read_noise=read, electrons=electrons, bits=12), rng
         ) * (255 / 4095)
         expected = read**2 + (230 * light / electrons if electrons else 0)
@@ -38,7 +38,7 @@ def test_blur_and_defocus_spread_a_point_and_keep_its_light():
     point = np.zeros((61, 61), np.float32)
     point[30, 30] = 1.0
     for sensor in (Sensor(blur=1.5, bits=12, gain=3000), Sensor(defocus=3.0, bits=12, gain=3000)):
-        image = expose_image(point, sensor, np.random.default_rng(0)) * (255 / 4095) - BLACK
+        image = simulate_sensor_exposure(point, sensor, np.random.default_rng(0)) * (255 / 4095) - BLACK
         v, u = np.mgrid[:61, :61] - 30
         light = np.clip(image, 0.5, None) - 0.5
         spread = np.sqrt((light * (u**2 + v**2)).sum() / light.sum() / 2)
@@ -50,15 +50,20 @@ def test_next_to_no_defocus_is_none():
     """A disc smaller than the grid that it is laid out on is a point."""
     picture = np.random.default_rng(2).random((40, 50), dtype=np.float32)
     for radius in (1e-6, 0.005, 0.02, 0.1):
-        image = expose_image(picture, Sensor(defocus=radius), np.random.default_rng(0), samples=2)
+        image = simulate_sensor_exposure(picture, Sensor(defocus=radius), np.random.default_rng(0), samples=2)
         assert (
-            np.abs(image.astype(int) - expose_image(picture, Sensor(), np.random.default_rng(0), samples=2)).max() <= 1
+            np.abs(
+                image.astype(int) - simulate_sensor_exposure(picture, Sensor(), np.random.default_rng(0), samples=2)
+            ).max()
+            <= 1
         )
 
 
 def test_vignetting_takes_its_share_from_the_corners():
     image = (
-        expose_image(np.ones((401, 401), np.float32), Sensor(vignetting=0.4, bits=12), np.random.default_rng(0))
+        simulate_sensor_exposure(
+            np.ones((401, 401), np.float32), Sensor(vignetting=0.4, bits=12), np.random.default_rng(0)
+        )
         * (255 / 4095)
         - BLACK
     )
@@ -73,7 +78,7 @@ def test_of_many_cameras_no_pictures_are_kept():
     tracemalloc.start()
     try:
         for lost in np.linspace(0.1, 0.3, 40):
-            expose_image(picture, Sensor(vignetting=float(lost)), np.random.default_rng(0))
+            simulate_sensor_exposure(picture, Sensor(vignetting=float(lost)), np.random.default_rng(0))
         allocated, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -7,7 +7,7 @@ import pytest
 
 from rig.errors import FileError
 from rig.planning import plan
-from synthetic import image_simulation, recording_simulation, secret_machine_and_truth_file
+from synthetic import image_simulation, random_true_machine_and_truth_file, recording_simulation
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def seen(opengl, design):
     )
     rng = np.random.default_rng(4)
     return recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(small, rng), plan.build_plan(small, "sobol:2", 1), rng
+        random_true_machine_and_truth_file.random_true_machine(small, rng), plan.build_plan(small, "sobol:2", 1), rng
     )
 
 

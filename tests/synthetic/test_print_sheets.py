@@ -18,7 +18,7 @@ from synthetic.cube_nets_stl_rulers_and_assembly_page import (
     PARTITIONS,
     SIDES,
     Size,
-    arrange_net,
+    arrange_cube_net_on_sheets,
     net_pieces,
     target_outline_from_above,
     usable_area,
@@ -53,7 +53,7 @@ def test_neighbours_in_the_net_are_neighbours_on_the_cube():
 @pytest.mark.parametrize("paper", ["A4", "Letter", "A3"])
 @pytest.mark.parametrize("edge", [20.0, 51.0, 66.0, 93.0, 131.0, 170.0])
 def test_nothing_leaves_the_paper_or_lies_on_another(paper, edge):
-    size, found = arrange_net(
+    size, found = arrange_cube_net_on_sheets(
         edge, usable_area(print_sheets.PAPER[paper]), usable_area(print_sheets.PAPER[paper][::-1])
     )
     for sheet in found:
@@ -69,9 +69,9 @@ def test_nothing_leaves_the_paper_or_lies_on_another(paper, edge):
 def test_flaps_are_in_the_box_and_large_faces_go_without():
     left, bottom, right, top = net_pieces(PARTITIONS[0])[0].box(Size(50.0, 7.0))
     assert (left, bottom, right, top) == (-7.0, 0.0, 200.0, 150.0)
-    assert arrange_net(176.0, (183.0, 257.0), (270.0, 170.0))[0].flap == 0.0
+    assert arrange_cube_net_on_sheets(176.0, (183.0, 257.0), (270.0, 170.0))[0].flap == 0.0
     with pytest.raises(RigError, match="larger than the 183 x 257 mm"):
-        arrange_net(184.0, (183.0, 257.0), (270.0, 170.0))
+        arrange_cube_net_on_sheets(184.0, (183.0, 257.0), (270.0, 170.0))
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_bodies_are_smaller_by_the_paper(two_cubes):
 
     design = design_from_rig_toml.load_design(two_cubes)
     body = trimesh.load_mesh(
-        io.BytesIO(cube_nets_stl_rulers_and_assembly_page.cube_stl_files(design, 2e-4)["P1"]), file_type="stl"
+        io.BytesIO(cube_nets_stl_rulers_and_assembly_page.cube_stl_bytes_by_target(design, 2e-4)["P1"]), file_type="stl"
     )
     np.testing.assert_allclose(body.extents, (design.targets[0].edge - 4e-4) * 1e3, rtol=1e-6)
     assert body.is_watertight

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError
 from rig.model import motion_simulation
 from rig.model.design import Sensor
@@ -17,21 +17,23 @@ from rig.recording import recording_folder
 from synthetic import (
     ideal_image_renderer,
     image_simulation,
+    random_true_machine_and_truth_file,
     recording_simulation,
     rig_meshes,
-    secret_machine_and_truth_file,
 )
 from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
 from tests.conftest import SHARED
 from vision.predict import marker_map
-from vision.reading.recording_corners import collect_corners
+from vision.reading.corner_reading_from_recording_images import read_corners_of_all_images
 
 
 @pytest.fixture(scope="module")
 def done(design):
     rng = np.random.default_rng(4)
     return recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)),
+        random_true_machine_and_truth_file.random_true_machine(
+            design, rng, 1.0, (parse_effect("backlash:strut2:gap=5e-5"),)
+        ),
         plan.build_plan(design, "sobol:8,moving:6"),
         rng,
     )
@@ -52,8 +54,8 @@ def test_what_is_written_is_read_back(done, tmp_path, rig_text):
 
 
 def test_truth_makes_the_same_machine_again(done, tmp_path, design):
-    secret_machine_and_truth_file.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
-    reloaded = secret_machine_and_truth_file.world_from_truth(tmp_path / "t.json", design)
+    random_true_machine_and_truth_file.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
+    reloaded = random_true_machine_and_truth_file.world_from_truth(tmp_path / "t.json", design)
     assert reloaded.effects == done.world.effects
     T = motion_simulation.simulate_machine_run(
         reloaded.true, done.plan.commands, done.plan.t, reloaded.effects, done.sensors
@@ -67,7 +69,7 @@ def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     }
     (tmp_path / "half.json").write_text((tmp_path / "t.json").read_text()[:300])
     with pytest.raises(FileError, match="cut off"):
-        secret_machine_and_truth_file.world_from_truth(tmp_path / "half.json", design)
+        random_true_machine_and_truth_file.world_from_truth(tmp_path / "half.json", design)
 
 
 def test_same_seed_same_recording(design, tmp_path, rig_text):
@@ -75,7 +77,9 @@ def test_same_seed_same_recording(design, tmp_path, rig_text):
     for name in "ab":
         rng = np.random.default_rng(9)
         s = recording_simulation.simulate_world(
-            secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "sobol:3", 9), rng
+            random_true_machine_and_truth_file.random_true_machine(design, rng),
+            plan.build_plan(design, "sobol:3", 9),
+            rng,
         )
         recording_simulation.write_recording(s, tmp_path / name, rig_text, rng, noise=0.05)
         texts.append([path.read_bytes() for path in sorted((tmp_path / name).iterdir())])
@@ -105,7 +109,7 @@ def test_what_is_hidden_is_hidden_by_solids(design):
 def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path, opengl):
     rng = np.random.default_rng(2)
     s = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "sobol:1"), rng
+        random_true_machine_and_truth_file.random_true_machine(design, rng), plan.build_plan(design, "sobol:1"), rng
     )
     recording_simulation.write_recording(
         s,
@@ -114,8 +118,8 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
         rng,
         images=image_simulation.Images(Sensor(blur=0.5, read_noise=0.5), "cluttered", processes=1),
     )
-    found = collect_corners(recording_folder.load_recording(tmp_path / "rec"), marker_map(design)).corners
-    true = {tuple(row[:4]): row[4:] for row in recording_simulation.truth_corners(s)}
+    found = read_corners_of_all_images(recording_folder.load_recording(tmp_path / "rec"), marker_map(design)).corners
+    true = {tuple(row[:4]): row[4:] for row in recording_simulation.true_corner_rows(s)}
     keys = list(zip(found.frame.tolist(), found.camera, found.marker.tolist(), found.corner.tolist()))
     errors = np.array([uv - true[key] for key, uv in zip(keys, found.uv) if key in true])
     assert len(errors) > 0.9 * len(true) and np.sqrt(np.mean(errors**2)) < 0.03
@@ -126,7 +130,7 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
 def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
     s = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng), plan.build_plan(design, "moving:1"), rng
+        random_true_machine_and_truth_file.random_true_machine(design, rng), plan.build_plan(design, "moving:1"), rng
     )
     images = image_simulation.Images(Sensor(exposure=0.1, exposures=3), processes=1)
     image_simulation._start(s, tmp_path, images, 5)
@@ -165,12 +169,12 @@ def test_effects_that_cannot_be_drawn_are_refused():
 
 
 def test_scene_has_everything(design):
-    parts = rig_meshes.rig_parts(design)
+    parts = rig_meshes.rig_and_background_meshes(design)
     bodies = {part.body for part in parts}
     assert {"base", "platform", "world"} <= bodies and sum(body.startswith("strut") for body in bodies) == 12
     assert sum(part.ink is not None for part in parts) == 40
     with pytest.raises(ValueError, match="background"):
-        rig_meshes.rig_parts(design, "nice")
+        rig_meshes.rig_and_background_meshes(design, "nice")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared recordings beside the project")

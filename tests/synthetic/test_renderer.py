@@ -15,7 +15,7 @@ from rig.model.design import Camera, Marker, Sensor, Target
 from rig.model.pose import pose
 from synthetic import ideal_image_renderer as render
 from synthetic import rig_meshes
-from synthetic.marker_drawing_sensor_and_occlusion import expose_image
+from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from tests.synthetic.corners_by_edge_lines import edge_corners
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
@@ -50,7 +50,7 @@ def drawn(rig):
     home = rig.mechanism.home
     parts = [
         part
-        for part in rig_meshes.rig_parts(rig)
+        for part in rig_meshes.rig_and_background_meshes(rig)
         if part.body in ("base", "world") and (part.uv is not None or part.normal is None or abs(part.centre[2]) > 0.3)
     ]
     renderer = render.Renderer(parts, rig)
@@ -86,9 +86,9 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
         picture, numbers, exact = drawn(rig)
         mean = picture.reshape(1024, render.SAMPLES, 1280, render.SAMPLES).mean(axis=(1, 3))
         errors.append(edge_errors(mean.astype(float), exact, rig.cameras[0]))
-        image = expose_image(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(
-            255 / 4095
-        )
+        image = simulate_sensor_exposure(
+            picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES
+        ) * np.float32(255 / 4095)
         found = fit_read_markers(image, rig.cameras[0], marker_map(rig), ReadMarkers(numbers, exact))
         ours.append(found.corners - exact[[numbers.tolist().index(k) for k in found.marker]])
     assert all(len(e) >= 6 for e in errors)
@@ -102,7 +102,7 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
 
 @pytest.mark.slow
 def test_struts_hide_markers(design, opengl):
-    parts = rig_meshes.rig_parts(design)
+    parts = rig_meshes.rig_and_background_meshes(design)
     pictures = []
     for chosen in (parts, [part for part in parts if not part.body.startswith("strut")]):
         renderer = render.Renderer(chosen, design)  # one at a time: a process has one EGL display
@@ -117,7 +117,7 @@ def test_each_camera_has_its_own_resolution(design, opengl):
         design.cameras[1], width=320, height=256, matrix=np.array([[400.0, 0, 160], [0, 400, 128], [0, 0, 1]])
     )
     rig = replace(design, cameras=(design.cameras[0], small))
-    renderer = render.Renderer(rig_meshes.rig_parts(rig, "cluttered", np.random.default_rng(0)), rig)
+    renderer = render.Renderer(rig_meshes.rig_and_background_meshes(rig, "cluttered", np.random.default_rng(0)), rig)
     try:
         assert renderer.draw("cam0", rig.mechanism.home).shape == (2048, 2560)
         assert renderer.draw("cam1", rig.mechanism.home).shape == (512, 640)
@@ -173,7 +173,7 @@ def test_the_same_picture_whatever_lies_where_in_memory(opengl, design):
     pictures, allocations = [], []
     for k in range(3):
         allocations.append([object() for _ in range(1 + 997 * k)])
-        renderer = render.Renderer(rig_meshes.rig_parts(small), small)
+        renderer = render.Renderer(rig_meshes.rig_and_background_meshes(small), small)
         try:
             pictures.append(renderer.draw(small.cameras[0].name, small.mechanism.home).tobytes())
         finally:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic.secret_machine_and_truth_file import world_from_truth
+from synthetic.random_true_machine_and_truth_file import world_from_truth
 from tests.rig.effects.test_added_effect import RIGS
 
 SIGMA = (2e-5, 1e-4)  # m, rad

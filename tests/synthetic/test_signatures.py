@@ -12,13 +12,13 @@ import pytest
 
 from calib.models.platform.identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model import motion_simulation
 from rig.model.base_and_link_tilt_sensors import BaseTilt
 from rig.model.pose import exp
 from rig.planning import plan
 from rig.recording.recording_folder import sensors_with_gravity
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from vision import lens
 from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
@@ -80,7 +80,9 @@ SWALLOWED = {
 def signatures(design):
     rng = np.random.default_rng(0)
     route = plan.build_plan(design, "standard", 1)
-    s = recording_simulation.simulate_world(secret_machine_and_truth_file.draw_machine(design, rng, 0.0), route, rng)
+    s = recording_simulation.simulate_world(
+        random_true_machine_and_truth_file.random_true_machine(design, rng, 0.0), route, rng
+    )
     markers, T = marker_map(design), s.run.T_base_platform
     found = sightings_of_markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(

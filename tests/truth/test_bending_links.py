@@ -10,7 +10,7 @@ import rig
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.api.correct import CorrectOptions, correct
 from calib.api.diagnose import diagnose
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.model.design import Actuator, Design, Platform
 from rig.model.design import Arm as DesignArm

@@ -14,8 +14,8 @@ import rig
 from calib.api.calibrate import CalibrateOptions
 from calib.models.arm.error_model_and_observations import (
     arm_with_parameter_step,
+    observations_of_samples,
     parameter_jacobian,
-    sample_observations,
 )
 from calib.models.arm.identification_and_joint_profiles import identify_arm
 from calib.models.arm.tilt_observations import (
@@ -124,7 +124,7 @@ def test_rows_agree_with_differences():
     arm = UR10
 
     def shown(arm, q=q, lean=(0.0, 0.0, 0.0)):
-        links = Rotation.from_rotvec(lean).as_matrix() @ mechanism.link_frames(q, arm)[..., :3, :3]
+        links = Rotation.from_rotvec(lean).as_matrix() @ mechanism.single_hand_arm_link_frames(q, arm)[..., :3, :3]
         return np.stack([sensor.shown(links[:, sensor.link], down) for sensor in sensors], axis=1)
 
     read = TiltReadings(sensors, shown(arm), down)
@@ -148,7 +148,7 @@ def test_a_wild_reading_is_left_out_and_a_sensor_that_scatters_counts_less(tmp_p
     wild = {**log, "tilt_s2_x_rad": log["tilt_s2_x_rad"] + 0.05 * (np.arange(COUNT) == 7)}
     wild["tilt_s3_y_rad"] = wild["tilt_s3_y_rad"] + rng.normal(0, 3e-3, COUNT)
     recording = replace(recording, sensors=replace(recording.sensors, channels=wild))
-    observed = sample_observations(sample_recording(recording).samples)
+    observed = observations_of_samples(sample_recording(recording).samples)
     found = identify_arm(observed, recording.design.mechanism)
     assert not found.tilts.used[7, LINKS.index(2)] and found.tilts.used[:, LINKS.index(2)].sum() >= COUNT - 2
     assert 1e-3 < found.tilts.scatter[LINKS.index(3)] < 5e-3 and found.tilts.scatter[0] < TILT

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
-from calib.api.correction_over_configuration_or_pose_space import ExtendOptions
+from calib.api.correction_extension_over_configuration_or_pose_space import ExtendOptions
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from rig.model.mechanisms import kinematics_of
 from tests.conftest import ROOT

@@ -16,9 +16,9 @@ import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
 from calib.api.correct import CorrectOptions
-from calib.api.lookup_table_over_sensor_channels import correction_lookup_table
+from calib.api.lookup_table_over_sensor_channels import corrected_command_lookup_table
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.physics_compensation import Physics
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files.calibration_file import save
 from rig.cli.command_line import main
 from rig.errors import RigError
@@ -160,7 +160,7 @@ def test_poses_that_a_lookup_table_asks_for_give_its_uncertainty(tmp_path):
         recording = recorded(tilting(4, 90.0, count), tmp_path / f"r{count}")
         calib.diagnose(recording).write(folder)
         calibration = calib.calibrate(recording, CalibrateOptions(diagnosis=folder, quick=True)).calibration
-        tables.append(correction_lookup_table(calibration, goals, channels))
+        tables.append(corrected_command_lookup_table(calibration, goals, channels))
     first, more = tables
     for k, kind in enumerate(("position", "rotation")):
         text = first.poses_for(kind, more.uncertainty[k])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig.planning import configuration_generators, plan
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map
 
@@ -15,7 +15,7 @@ def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):
     None.
     """
     rng = np.random.default_rng(seed)
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, size)
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, size)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
         configuration_generators.sobol_configurations(strokes, frames, seed=seed),

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, Target
-from rig.recording.recording_tables import Corners
+from rig.recording.corner_and_pose_csv_tables import Corners
 
 EDGE, SIDE = 0.12, 0.03  # m
 ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m

@@ -9,12 +9,12 @@ import pytest
 
 from rig.errors import FileError
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import replace_target_markers
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import rig_toml_with_target_markers_replaced
 from rig.model.design import markers_of_target
 from rig.model.pose import pose_difference
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import image_simulation, print_sheets, recording_simulation, secret_machine_and_truth_file
+from synthetic import image_simulation, print_sheets, random_true_machine_and_truth_file, recording_simulation
 from vision.predict import marker_map
 from vision.recording_measurement import measure_recording
 
@@ -116,7 +116,7 @@ def test_one_identity_on_two_boards_is_refused_at_the_second(tmp_path):
 def test_adjusted_places_replace_a_board_by_its_markers(rig_text, tmp_path):
     text = with_boards(rig_text)
     design = loaded(tmp_path, text)
-    written = loaded(tmp_path, replace_target_markers(text, {t.name: t.listed for t in design.targets}))
+    written = loaded(tmp_path, rig_toml_with_target_markers_replaced(text, {t.name: t.listed for t in design.targets}))
     assert [t.board for t in written.targets] == [None, None]
     assert [t.dictionary for t in written.targets] == [t.dictionary for t in design.targets]
     np.testing.assert_allclose(marker_map(written).corners, marker_map(design).corners, atol=1e-9)
@@ -145,7 +145,7 @@ def test_a_recording_of_boards_is_measured(rig_text, tmp_path, images, request):
         request.getfixturevalue("opengl")
     design = loaded(tmp_path, text)
     rng = np.random.default_rng(3)
-    world = secret_machine_and_truth_file.draw_machine(design, rng, 0.5)
+    world = random_true_machine_and_truth_file.random_true_machine(design, rng, 0.5)
     done = recording_simulation.simulate_world(world, plan.build_plan(design, "sobol:3", 1), rng)
     pictures = image_simulation.Images(world.true.sensor, processes=1) if images else None
     recording_simulation.write_recording(done, tmp_path / "rec", text, rng, 0.04, pictures)

@@ -10,7 +10,10 @@ from rig.recording.recording_folder import Commands, load_recording
 from tests.cli import run
 from tests.moving_run import write_moving_recording
 from tests.truth import rigid
-from vision.camera_and_command_clocks import clocks_of_recording, lagged_commands
+from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
+    clock_offset_and_drive_lag_by_recording,
+    lagged_commands,
+)
 from vision.recording_measurement import measure_recording
 
 OFFSET = 0.0073  # s
@@ -24,7 +27,9 @@ def own(found):
 
 
 def clocks(recording, found):
-    return clocks_of_recording(recording, found.frames, found.T_base_platform, own(found), found.common)
+    return clock_offset_and_drive_lag_by_recording(
+        recording, found.frames, found.T_base_platform, own(found), found.common
+    )
 
 
 @pytest.fixture(scope="module")

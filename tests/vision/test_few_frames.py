@@ -12,11 +12,11 @@ from rig.model.pose import pose_difference
 from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
     crossvalidate_adjustment,
-    determined_combinations,
+    determinacy_of_adjusted_unknowns,
 )
 from vision.recording_measurement import measure_recording
 
@@ -29,7 +29,7 @@ def seen(design, text, folder, seed, count, home, noise=0.04):
     if home:
         commands[0] = hexapod.inverse(design.mechanism.home, design.mechanism)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng),
+        random_true_machine_and_truth_file.random_true_machine(design, rng),
         plan.plan_of_configurations(commands, strokes.mean(axis=1), plan.planned_axis_speeds(design)),
         rng,
     )
@@ -42,7 +42,7 @@ def agrees(design, text, folder, seed, count, home, noise):
     read, true = seen(design, text, folder, seed, count, home, noise)
     measured, _ = measure_recording(read, places="auto")
     assert len(measured.frames) == count and not measured.unsolved
-    assert determined_combinations(measured.adjustment).lines()
+    assert determinacy_of_adjusted_unknowns(measured.adjustment).lines()
     held = crossvalidate_adjustment(measured.used(), measured.adjustment)
     assert bool(held) == (count > 1) and (held or "one frame" in held.reason)
     error = pose_difference(measured.T_base_platform, true)
@@ -86,7 +86,7 @@ def test_a_camera_that_shows_no_base_stands_where_it_is_stated(tmp_path):
     alone = only_rows(read, (np.array(read.corners.camera) == "cam2") | np.isin(read.corners.marker, on_base))
     for some, least, most in ((alone, 5e-3, 1.0), (read, 0.0, 5e-4)):
         measured, _ = measure_recording(some)
-        statement = " ".join(determined_combinations(measured.adjustment).lines())
+        statement = " ".join(determinacy_of_adjusted_unknowns(measured.adjustment).lines())
         assert "shows too little of the base" in statement and "worth 10 mm" in statement
         stated = np.sqrt(np.trace(measured.covariance[0, :3, :3]))
         assert (

@@ -20,7 +20,7 @@ def points():
 @pytest.mark.parametrize("count", DISTORTION_TERMS)
 def test_projection_and_jacobians_equal_opencv(points, count):
     reference, J = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, TERMS[:count])
-    uv, J_point, J_lens = lens.project_jacobian(points, MATRIX, TERMS[:count])
+    uv, J_point, J_lens = lens.projected_pixels_and_jacobians(points, MATRIX, TERMS[:count])
     J = J.reshape(50, 2, -1)
     np.testing.assert_allclose(uv, reference.reshape(-1, 2), atol=1e-10)
     np.testing.assert_allclose(lens.project(points, MATRIX, TERMS[:count]), uv, atol=1e-12)

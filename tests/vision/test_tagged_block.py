@@ -12,14 +12,14 @@ from rig.errors import NotEnoughData, RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.design import Marker
 from rig.model.pose import log
+from rig.recording.corner_and_pose_csv_tables import Corners, write_corners
 from rig.recording.recording_folder import load_recording as load
-from rig.recording.recording_tables import Corners, write_corners
 from tests.vision.tagged_block import Block, drawn_block, placed_corners
-from vision.api import focal_length_alarms, measure
-from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determined_combinations
+from vision.api import measure, too_large_focal_length_adjustment_sentences
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determinacy_of_adjusted_unknowns
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
 from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
-from vision.bundle.unknowns_estimate_and_printing_errors import align_points
-from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_few_images
+from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_sampled_frame_images
 from vision.checks.mistake_search_by_trial_corrections import (
     find_corner_mistakes,
     misplaced_or_exchanged_camera_sentences,
@@ -59,7 +59,7 @@ def squares(block: Block, m: Measurement) -> np.ndarray:
     seen[m.adjustment.unknowns.seen] = True
     rows = np.flatnonzero(on & seen & stated.stated) if stated.stated[on].all() else np.array([0])
     true = placed_corners(block.tags)
-    T_body_frame = align_points(stated.corners[rows].reshape(-1, 3), true[rows].reshape(-1, 3))
+    T_body_frame = rigid_transform_aligning_points(stated.corners[rows].reshape(-1, 3), true[rows].reshape(-1, 3))
     T_stated_base = RigidTransform.identity()
     if on.all():
         cameras = RigidTransform.from_matrix(block.cameras)
@@ -116,7 +116,9 @@ def test_places_start_within_two_millimetres_though_nothing_is_stated():
     observed = observations_from_corners(block.corners, np.arange(len(block.poses)), block.stated, markers)
     found, linked = marker_places_from_sightings(observed, block.stated.cameras, markers)
     true = placed_corners(block.tags)
-    aligned = align_points(found.corners.reshape(-1, 3), true.reshape(-1, 3)).apply(found.corners.reshape(-1, 3))
+    aligned = rigid_transform_aligning_points(found.corners.reshape(-1, 3), true.reshape(-1, 3)).apply(
+        found.corners.reshape(-1, 3)
+    )
     assert linked.all() and np.linalg.norm(aligned - true.reshape(-1, 3), axis=1).max() < 2e-3
     np.testing.assert_allclose(found.T_body_marker[0].as_matrix(), np.eye(4), atol=1e-12)
 
@@ -125,7 +127,7 @@ def test_the_statement_names_the_frame():
     block = drawn_block(2, off=None, frames=20)
     m = measured(block)
     assert "the platform frame is that of its marker 0, since the position of none is stated" in "\n".join(
-        determined_combinations(m.adjustment).lines()
+        determinacy_of_adjusted_unknowns(m.adjustment).lines()
     )
     assert not marker_displacements(m.adjustment)  # nothing that was stated has moved
     np.testing.assert_allclose(m.adjustment.state.placed.T_body_marker[0].as_matrix(), np.eye(4), atol=1e-9)
@@ -134,8 +136,8 @@ def test_the_statement_names_the_frame():
 @pytest.mark.slow
 def test_a_focal_length_far_from_the_stated_one_is_an_alarm():
     near, far = drawn_block(4, focal=0.01, frames=20), drawn_block(4, focal=0.09, frames=20)
-    assert focal_length_alarms(near.stated.cameras, measured(near).design.cameras) == []
-    alarms = focal_length_alarms(far.stated.cameras, measured(far).design.cameras)
+    assert too_large_focal_length_adjustment_sentences(near.stated.cameras, measured(near).design.cameras) == []
+    alarms = too_large_focal_length_adjustment_sentences(far.stated.cameras, measured(far).design.cameras)
     assert len(alarms) == 2 and "the focal length of camera 'a' was adjusted by" in alarms[0]
 
 
@@ -199,7 +201,7 @@ def test_a_recording_that_states_no_places_is_checked(tmp_path):
     rows = ["frame,t,camera,image", "0,0,a,a/0.png", "1,1,b,b/1.png"]
     (tmp_path / "rec" / "frames.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "rec" / "corners.csv").unlink()
-    assert corners_of_few_images(load(tmp_path / "rec")) is None
+    assert corners_of_sampled_frame_images(load(tmp_path / "rec")) is None
 
 
 def test_a_tag_that_is_never_seen_together_with_others_is_named(tmp_path):

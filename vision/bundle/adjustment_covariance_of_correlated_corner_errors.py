@@ -10,16 +10,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import POSE_SCALE, Unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.normal_equations_and_corner_jacobians import Derivatives, whitened_residuals_and_derivatives
-from vision.bundle.pose_covariance_of_correlated_corner_errors import (
-    places_and_smooth_columns,
-    pose_covariance_by_sizes,
-    sizes_of_unlike_errors,
-    smooth_image_errors,
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    Derivatives,
+    whitened_residuals_and_derivatives,
 )
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import POSE_SCALE, Unknowns
+from vision.bundle.pose_covariance_of_correlated_corner_errors import (
+    own_and_smooth_corner_error_variances,
+    places_and_smooth_columns,
+    pose_covariance_from_corner_error_variances,
+    smooth_image_error_model_of_corners,
+)
 from vision.corner_observations import Observations, whitener_of_observations
 
 
@@ -64,13 +67,15 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
         return whitener.mix(whitener.own @ columns[rows.place], slice(None))[rows.order]
 
     basis = rows.basis()
-    errors = smooth_image_errors(observations, cameras, rows.order, rows.edges, whiten, basis, own[rows.order])
+    errors = smooth_image_error_model_of_corners(
+        observations, cameras, rows.order, rows.edges, whiten, basis, own[rows.order]
+    )
     taken = np.sqrt((2 * len(observations) - u.used.sum()) / adjustment.dof)  # of the residuals by what frames share
-    sizes = sizes_of_unlike_errors(errors, taken * residual[rows.order].ravel(), rows.edges)
+    sizes = own_and_smooth_corner_error_variances(errors, taken * residual[rows.order].ravel(), rows.edges)
     if sizes is None:
         return adjustment
     white, smooth = np.where(own[rows.order], sizes[0], 1.0), sizes[1]
-    spread = pose_covariance_by_sizes(errors, white, smooth, basis, rows.edges)
+    spread = pose_covariance_from_corner_error_variances(errors, white, smooth, basis, rows.edges)
     given = (np.swapaxes(rows.root, 1, 2) @ spread @ rows.root)[:, :6, :6] * POSE_SCALE**2
     factor = adjustment.shared_factor / u.scale[:, None]
     # corners whose covariance is not their own see the same air

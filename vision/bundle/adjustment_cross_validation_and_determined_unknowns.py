@@ -10,14 +10,18 @@ from typing import Literal, cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
+    Unknowns,
+    datum_marker_rows,
+    offset_from_stated,
+)
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import POSE_SIGMA, adjustment_unknowns
 from vision.bundle.bundle_adjustment import Adjustment
-from vision.bundle.normal_equations_and_corner_jacobians import (
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     schur_complement,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.priors_of_unknowns import POSE_SIGMA, adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import Unknowns, datum_markers, offset_from_stated
 from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
 
 FOLDS = 10
@@ -178,7 +182,7 @@ class DeterminedUnknowns:
         )
 
 
-def determined_combinations(adjustment: Adjustment) -> DeterminedUnknowns:
+def determinacy_of_adjusted_unknowns(adjustment: Adjustment) -> DeterminedUnknowns:
     """Determined combinations of an Adjustment's unknowns.
 
     Its covariance compared with the priors.
@@ -219,7 +223,7 @@ def _datum(adjustment: Adjustment, on_platform: bool) -> str:
     """Which markers hold a body's frame where their positions were adjusted."""
     m, rows = adjustment.stated.placed, adjustment.unknowns.seen
     rows = rows[m.on_platform[rows] == on_platform]
-    datum = datum_markers(m, rows)
+    datum = datum_marker_rows(m, rows)
     if not m.stated[datum].any():
         return f"that of its marker {m.id[datum[0]]}, since the position of none is stated"
     if len(datum) == 1 < len(rows):

@@ -16,23 +16,26 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera
-from vision.bundle.normal_equations_and_corner_jacobians import (
-    normal_equations,
-    predicted_decrease,
-    schur_complement,
-    solve_step,
-    whitened_residuals_and_derivatives,
-)
-from vision.bundle.priors_of_unknowns import adjustment_unknowns, stated_lens_prior_sigmas
-from vision.bundle.unknowns_estimate_and_printing_errors import (
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     POSE_SCALE,
     Estimate,
     Printing,
     UnknownName,
     Unknowns,
     align_with_datums,
+    estimate_after_step,
     offset_from_stated,
-    update_estimate,
+)
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
+    adjustment_unknowns,
+    stated_lens_prior_sigmas,
+)
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    normal_equations,
+    predicted_decrease,
+    schur_complement,
+    solve_shared_and_frame_steps,
+    whitened_residuals_and_derivatives,
 )
 from vision.corner_observations import Observations, Whitener, merge_repeated_corners, whitener_of_observations
 from vision.predict import State, predict_corners
@@ -136,11 +139,13 @@ def adjust_bundle(
             away = offset_from_stated(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
             blocks = normal_equations(few, derivatives, u, away)
-        steps = solve_step(blocks, u, damping)
-        moved = update_estimate(estimate, u, *steps)
+        steps = solve_shared_and_frame_steps(blocks, u, damping)
+        moved = estimate_after_step(estimate, u, *steps)
         new = adjustment_cost(few, moved, stated, u, W) + spare
         if not new <= cost:
-            if predicted_decrease(blocks, *(solve_step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
+            if predicted_decrease(
+                blocks, *(solve_shared_and_frame_steps(blocks, u) if damping else steps)
+            ) <= CONVERGED * max(cost, 1.0):
                 if new - cost <= CONVERGED * max(cost, 1.0):
                     estimate = moved
                 # at the bottom: what a step still promises drowns in the rounding of the cost; taken, it is as good to

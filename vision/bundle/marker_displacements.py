@@ -14,15 +14,15 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Marker
 from rig.model.pose import log
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import offset_from_stated
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.normal_equations_and_corner_jacobians import (
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     predicted_decrease,
-    solve_step,
+    solve_shared_and_frame_steps,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
 from vision.corner_observations import Observations, whitener_of_observations
 from vision.pose.pose_refinement_and_ambiguity_resolution import (
     MOST,
@@ -128,7 +128,7 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
     residual, derivatives = whitened_residuals_and_derivatives(used, estimate, u, W)
     away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)
     blocks = normal_equations(used, derivatives, u, away)
-    left = (residual**2).sum() - predicted_decrease(blocks, *solve_step(blocks, u))
+    left = (residual**2).sum() - predicted_decrease(blocks, *solve_shared_and_frame_steps(blocks, u))
     dof = 2 * len(used) - u.used.sum() - u.basis.shape[1]
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 

@@ -66,7 +66,7 @@ class SmoothImageErrors:
             yield slice(begin, begin + len(onto)), slice(a, b), left
 
 
-def smooth_image_errors(
+def smooth_image_error_model_of_corners(
     observations: Observations,
     cameras: Sequence[Camera],
     order: Integers,
@@ -124,11 +124,15 @@ def _parts(camera: Integers, place: Floats) -> Integers:
     return out
 
 
-def sizes_of_unlike_errors(errors: SmoothImageErrors, left: Floats, edges: Integers) -> tuple[Floats, Floats] | None:
+def own_and_smooth_corner_error_variances(
+    errors: SmoothImageErrors, left: Floats, edges: Integers
+) -> tuple[Floats, Floats] | None:
     """((n,) mean square of each corner's own whitened errors, (2K, 2K) px^2 covariance of the smooth ones along the
-    columns), in the order of `smooth_image_errors`; None where corners show no errors but equal and independent ones.
+    columns), in the order of `smooth_image_error_model_of_corners`; None where corners show no errors but equal and
+    independent ones.
 
-    left : (2n,) whitened residuals with the frames' own poses taken out; edges : as of `smooth_image_errors`
+    left : (2n,) whitened residuals with the frames' own poses taken out; edges : as of
+    `smooth_image_error_model_of_corners`
     """
     F, spare, total = len(edges) - 1, errors.spare, errors.spare.sum()
     square = np.where(spare > 0, (left**2).reshape(-1, 2).mean(axis=1), 0.0)
@@ -193,23 +197,24 @@ def _smooth_covariance(
     return white, Sigma
 
 
-def pose_covariance_of_unlike_errors(
+def pose_covariance_by_estimated_corner_errors(
     errors: SmoothImageErrors, left: Floats, local: Floats, edges: Integers
 ) -> Floats | None:
     """(F, L, L) covariance of the frames' own poses on their basis, whose unit is that of equal and independent errors;
     None where corners show no others.
 
-    left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of `smooth_image_errors`
+    left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of
+    `smooth_image_error_model_of_corners`
     """
-    sizes = sizes_of_unlike_errors(errors, left, edges)
-    return None if sizes is None else pose_covariance_by_sizes(errors, *sizes, local, edges)
+    sizes = own_and_smooth_corner_error_variances(errors, left, edges)
+    return None if sizes is None else pose_covariance_from_corner_error_variances(errors, *sizes, local, edges)
 
 
-def pose_covariance_by_sizes(
+def pose_covariance_from_corner_error_variances(
     errors: SmoothImageErrors, white: Floats, smooth: Floats, local: Floats, edges: Integers
 ) -> Floats:
     """(F, L, L) covariance of the frames' own poses on their basis by the sizes of errors, white (n,) and smooth, as
-    `sizes_of_unlike_errors` has them.
+    `own_and_smooth_corner_error_variances` has them.
     """
     each, cameras = np.repeat(white, 2), errors.onto.shape[2] // len(smooth)
     out = errors.onto @ np.kron(np.eye(cameras), smooth) @ np.swapaxes(errors.onto, 1, 2)

@@ -14,17 +14,26 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import thread_map
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
+    KINDS,
+    NAMES,
+    Printing,
+    offset_from_stated,
+)
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.bundle.normal_equations_and_corner_jacobians import (
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     predicted_decrease,
     schur_complement,
-    solve_step,
+    solve_shared_and_frame_steps,
     whitened_residuals_and_derivatives,
 )
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.robust_adjustment import RobustAdjustment, inflate_repeated_corner_covariance, is_within_gate
-from vision.bundle.unknowns_estimate_and_printing_errors import KINDS, NAMES, Printing, offset_from_stated
+from vision.bundle.robust_adjustment import (
+    RobustAdjustment,
+    are_corner_residuals_within_gate,
+    repeated_corner_covariance_and_systematic_error,
+)
 from vision.corner_observations import (
     Observations,
     find_repeated_base_corners,
@@ -83,7 +92,7 @@ def adjust_with_estimated_printing_errors(
         return fit
     used, standing = np.zeros(len(good), bool), np.inf
     for turn in range(REPEATS):
-        weights, now = inflate_repeated_corner_covariance(retained, good, a.state)
+        weights, now = repeated_corner_covariance_and_systematic_error(retained, good, a.state)
         if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
             break
         used, standing = good, now
@@ -92,7 +101,7 @@ def adjust_with_estimated_printing_errors(
         if printing is None:
             return fit
         a = adjust_bundle(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
-        good = is_within_gate(retained, a.state)
+        good = are_corner_residuals_within_gate(retained, a.state)
     cost = (
         a.cost - (a.whitened**2).sum() + (whitener_of_observations(retained.take(used))(a.residuals) ** 2).sum()
     )  # standing errors in it, as in fit.scale
@@ -129,7 +138,7 @@ def _print_information(observations: Observations, a: Adjustment, free: tuple[st
     columns = np.concatenate([np.arange(c.start, c.stop) for c in (*u.prints.rows.values(), u.prints.together)])
     inverse = np.linalg.inv(covariance[np.ix_(columns, columns)])
     kind = [k for k, part in enumerate(KINDS) for _ in range(len(NAMES))[part]]
-    shared, local = solve_step(blocks, u)
+    shared, local = solve_shared_and_frame_steps(blocks, u)
     right = inverse @ shared[columns]
     cost = (
         float((residual**2).sum() + (u.prior * away**2).sum())

@@ -79,7 +79,7 @@ def adjust_robustly(
         plain = observations_of_frames(observations, solved)
         retained = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
         gate = initial_gate * CLOSING**rounds
-        good = is_within_gate(retained, state.at(solved), gate)
+        good = are_corner_residuals_within_gate(retained, state.at(solved), gate)
         weak = _unsupported(
             retained,
             good,
@@ -150,7 +150,7 @@ def _scatter(observations: Observations, inliers: Booleans, state: State) -> Flo
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]
 
 
-def inflate_repeated_corner_covariance(
+def repeated_corner_covariance_and_systematic_error(
     observations: Observations, inliers: Booleans, state: State
 ) -> tuple[Floats, float]:
     """Inflated covariances (n, 2, 2) of repeated base corners, and their systematic error in px.
@@ -216,7 +216,7 @@ def _squares(observations: Observations, state: State) -> Floats:
     return square
 
 
-def is_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> Booleans:
+def are_corner_residuals_within_gate(observations: Observations, state: State, smallest_gate: float = 0.0) -> Booleans:
     """Whether each corner's residual (n,) is within the gate.
 
     The gate is GATE robust scales, or the smallest gate px.

@@ -11,11 +11,11 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
-from rig.model.design import Camera, Design, Target, move_edges_inward
-from rig.recording.recording_tables import Corners
+from rig.model.design import Camera, Design, Target, corners_of_squares_with_edges_moved_inward
+from rig.recording.corner_and_pose_csv_tables import Corners
 from vision import lens
 from vision.corner_observations import observations_from_corners
-from vision.predict import are_markers_placed, marker_map
+from vision.predict import are_all_marker_poses_known, marker_map
 from vision.recording_adjustment import Measurement, measure_observations
 from vision.recording_measurement import frames_with_enough_markers, unsolved_frames_with_enough_markers
 
@@ -81,7 +81,7 @@ def sample_frames(
     frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
     was put back: its place is told only to what remounting may do
     """
-    if not are_markers_placed(design):
+    if not are_all_marker_poses_known(design):
         return None
     on_stages = [number for target in design.targets if target.stage for number in target.ids]
     if on_stages:
@@ -154,7 +154,7 @@ def least_misfit_with_edge_bias(first: Trial, wanted: float) -> float:
         order = np.lexsort((c.corner, c.marker, c.frame, names))
         uv = c.uv.copy()
         quads = order.reshape(-1, 4)
-        uv[quads] = move_edges_inward(c.uv[quads], bias) if bias else c.uv[quads]
+        uv[quads] = corners_of_squares_with_edges_moved_inward(c.uv[quads], bias) if bias else c.uv[quads]
         return seen.with_corners(uv=uv)
 
     if (
@@ -191,7 +191,7 @@ ORDERS = {
 }
 
 
-def all_camera_corner_corrections(sample: SampledRecording) -> Iterator[Candidate]:
+def corner_correction_candidates_for_all_cameras(sample: SampledRecording) -> Iterator[Candidate]:
     """Corrections of corner conventions and marker ids to try, all cameras alike.
 
     Yields (what, what to do, Seen with it undone).
@@ -266,7 +266,7 @@ def _of(seen: SampledRecording, parts: list[tuple[str, Floats]]) -> Iterator[Can
 ALIKE = (0.015, 0.01, 1.0)  # of the focal length, of the width, px: within which two lenses are one
 
 
-def alternative_lens_trials(sample: SampledRecording) -> Iterator[Candidate]:
+def lens_convention_trials(sample: SampledRecording) -> Iterator[Candidate]:
     """Trials with alternative lenses.
 
     Matrix and distortion in another order, sign or image size.
@@ -316,7 +316,7 @@ def find_matching_lens_convention(sample: SampledRecording, adjusted: tuple[Came
     """
     found = [
         one
-        for one in alternative_lens_trials(sample)
+        for one in lens_convention_trials(sample)
         if all(is_same_lens_within_calibration_drift(a, b) for a, b in zip(one[2].design.cameras, adjusted))
     ]
     return (

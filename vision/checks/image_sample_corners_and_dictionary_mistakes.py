@@ -13,14 +13,14 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Pixels
 from rig.checks import Mistake
 from rig.errors import FileError
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
 from vision.checks.corner_and_lens_convention_trials import FRAMES
 from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, read_marker_ids
 from vision.predict import MarkerMap, marker_map
-from vision.reading.marker_identity_and_expected_places import FAMILIES
-from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_threads
-from vision.reading.recording_corners import image_reader
+from vision.reading.corner_reading_from_recording_images import image_reader
+from vision.reading.marker_identity_mistakes_and_expected_marker_places import FAMILIES
+from vision.reading.parallel_image_map_marker_rendering_and_white_level import map_images_in_threads
 
 TRIED = 6  # images in which other dictionaries are tried
 LEAST = 3  # sightings of an identity of the rig in another dictionary, from which that is named
@@ -39,7 +39,7 @@ def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | N
     return corners, found if corners is None else found + list(_against(recording.corners, corners))
 
 
-def corners_of_few_images(recording: Recording) -> Corners | None:
+def corners_of_sampled_frame_images(recording: Recording) -> Corners | None:
     """Corners read from the images of a few frames, None where there are none."""
     return _corners(_sights(recording, marker_map(recording.design, RigidTransform.identity()), FEW)[0])
 

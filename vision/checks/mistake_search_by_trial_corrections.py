@@ -10,14 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Design
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.frame_selection_and_content_hashes import recording_of_first_seen_hand
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
 from vision.checks import camera_mistake_trials as cameras
 from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistake_trials as targets
 from vision.checks.corner_and_lens_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
-from vision.checks.trials_from_other_camera_poses import cameras_by_free_markers, stated_trial_from_other_camera_poses
+from vision.checks.trials_from_other_start_poses import cameras_by_free_markers, stated_trial_from_other_camera_poses
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
 from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand
 
@@ -125,7 +125,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
                         f"{what}: corners lie {first.misfit:.3g} px RMS from their expected positions as it "
                         f"stands, {other.misfit:.3g} px so" + (" (20 px: not at all)" if first.misfit == LOST else ""),
                         do,
-                        not targets.is_correction_within_one_cube(first.seen, other.seen),
+                        not targets.is_only_face_exchange_within_one_cube(first.seen, other.seen),
                         LIKELY * (1 - other.misfit / first.misfit),
                     )
                 ], other
@@ -241,13 +241,13 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     """
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
-    makers: list[Maker] = [conventions.alternative_lens_trials]
+    makers: list[Maker] = [conventions.lens_convention_trials]
     if first.misfit > GROSS:
         makers = [
-            conventions.all_camera_corner_corrections,
+            conventions.corner_correction_candidates_for_all_cameras,
             cameras.exchanged_camera_trials,
             targets.exchanged_or_moved_target_trials,
-            conventions.alternative_lens_trials,
+            conventions.lens_convention_trials,
             conventions.corner_correction_candidates_by_camera,
             *([cameras.alternative_camera_pose_trials] if stated else []),
         ]

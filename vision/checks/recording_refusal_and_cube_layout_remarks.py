@@ -13,15 +13,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.checks.implausible_design_values_and_image_mistakes import mistakes_found_without_looking_at_images
+from rig.checks.design_value_camera_and_image_mistakes_and_all_file_checks import (
+    mistakes_found_without_looking_at_images,
+)
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
 from rig.errors import RigError
 from rig.model.design import Design, Target, markers_of_target, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import WORDS
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
 from vision.checks.mistake_search_by_trial_corrections import find_corner_mistakes
-from vision.predict import MarkerMap, are_markers_placed, marker_map, markers_expected_in_image
+from vision.predict import MarkerMap, are_all_marker_poses_known, expected_marker_rows_and_corners_in_image, marker_map
 
 Notice = Callable[[str], None]
 
@@ -30,7 +32,9 @@ def ignore_notice(line: str) -> None:
     """Ignore a notice: the callback where nobody listens, which does nothing."""
 
 
-def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice) -> None:
+def require_no_severe_mistakes_and_notice_others(
+    mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice
+) -> None:
     """Refuse mistakes that make results meaningless, unless allowed.
 
     The others are noticed, a line each.
@@ -44,9 +48,11 @@ def refuse_mistakes(mistakes: Iterable[Mistake], allow_mistakes: bool, notice: N
         notice(str(one))
 
 
-def refuse_mistakes_in_files_and_images(recording: Recording, allow_mistakes: bool, notice: Notice) -> None:
+def require_no_severe_mistakes_in_files_and_images(recording: Recording, allow_mistakes: bool, notice: Notice) -> None:
     """Refuse a recording with mistakes in its files or sampled images, unless mistakes are allowed."""
-    refuse_mistakes(mistakes_found_without_looking_at_images(recording), allow_mistakes, notice)
+    require_no_severe_mistakes_and_notice_others(
+        mistakes_found_without_looking_at_images(recording), allow_mistakes, notice
+    )
     for name, quarters in quarter_turns_of_cubes(recording.design).items():
         notice(
             f"{recording.folder}: cube {name} was removed and remounted, {WORDS[quarters]}; its place is "
@@ -56,19 +62,21 @@ def refuse_mistakes_in_files_and_images(recording: Recording, allow_mistakes: bo
     if recording.has_images and recording.corners is None and recording.design.targets:
         from vision.checks.image_sample_corners_and_dictionary_mistakes import dictionary_and_identity_mistakes
 
-        refuse_mistakes(dictionary_and_identity_mistakes(recording), allow_mistakes, notice)
+        require_no_severe_mistakes_and_notice_others(
+            dictionary_and_identity_mistakes(recording), allow_mistakes, notice
+        )
 
 
-def make_corner_mistake_refusal(
+def make_corner_check_raising_on_severe_mistakes(
     recording: Recording, allow_mistakes: bool, notice: Notice
 ) -> Callable[[Corners], None]:
     """Make the function that refuses a recording whose corners, once read, show mistakes.
 
-    As `refuse_mistakes` does.
+    As `require_no_severe_mistakes_and_notice_others` does.
     """
 
     def look(corners: Corners) -> None:
-        refuse_mistakes(find_corner_mistakes(recording, corners), allow_mistakes, notice)
+        require_no_severe_mistakes_and_notice_others(find_corner_mistakes(recording, corners), allow_mistakes, notice)
 
     return look
 
@@ -98,7 +106,7 @@ BODIES = {"platform": "the platform", "base": "the base"}
 
 def unevenly_placed_cubes_remarks(design: Design) -> tuple[str, ...]:
     """Remarks on an uneven layout of a Design's cubes, by how many mm and degrees; none where all is even."""
-    if not design.targets or not are_markers_placed(design):
+    if not design.targets or not are_all_marker_poses_known(design):
         return ()
     found = marker_map(design.without_stages())
     return (
@@ -200,7 +208,7 @@ def _cameras(design: Design, found: MarkerMap) -> Iterator[str]:
     for camera in design.cameras:
         if camera.mount != "fixed":
             continue
-        rows = markers_expected_in_image(camera, RigidTransform.from_matrix(home.as_matrix()), found)[0]
+        rows = expected_marker_rows_and_corners_in_image(camera, RigidTransform.from_matrix(home.as_matrix()), found)[0]
         for body, words in BODIES.items():
             on_body = found.on_platform == (body == "platform")
             count = int(on_body[rows].sum())

@@ -275,7 +275,7 @@ def exchanged_face_trials(sample: SampledRecording, name: str) -> Iterator[Candi
         )
 
 
-def is_correction_within_one_cube(stated: SampledRecording, corrected: SampledRecording) -> bool:
+def is_only_face_exchange_within_one_cube(stated: SampledRecording, corrected: SampledRecording) -> bool:
     """Whether a correction only exchanges faces within one cube, which each command corrects by itself."""
     if corrected.corners is not stated.corners or corrected.design.cameras is not stated.design.cameras:
         return False

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
-from vision.corners.numba_kernels_and_predicted_cell_white_share import (
+from vision.corners.blurred_edge_image_model_and_numba_kernels import (
     NODES,
     SKEW,
     SPAN,
@@ -25,6 +24,7 @@ from vision.corners.numba_kernels_and_predicted_cell_white_share import (
     kernel,
     wide_edge_cell_white_share,
 )
+from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache
@@ -143,7 +143,7 @@ def _single(
 @inlined_kernel
 def _meetings(pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, tables: Tables, strip: Floats) -> None:
     """The same for pixels that see an upright and a level edge meet. Their product is corrected as in
-    vision/corners/numba_kernels_and_predicted_cell_white_share.py.
+    vision/corners/blurred_edge_image_model_and_numba_kernels.py.
     """
     x, y, lines, levels, looks, slope = pixels.x, pixels.y, pixels.i, pixels.j, pixels.looks, seen.slope
     g = seen.g.astype(np.float32)

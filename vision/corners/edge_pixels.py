@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers, Singles
+from vision.corners.blurred_edge_image_model_and_numba_kernels import inlined_kernel, kernel
 from vision.corners.local_lens_and_fit_start import polynomial_along_row
-from vision.corners.numba_kernels_and_predicted_cell_white_share import inlined_kernel, kernel
 
 # edge widths on either side of an edge that are looked at; with vision/corners/edge_spread_function.py's KNOTS by
 # the rule in tests/bench/edge_fit_width.py:

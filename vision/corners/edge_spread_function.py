@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from rig.array_and_json_types import Floats, Integers
-from vision.corners.numba_kernels_and_predicted_cell_white_share import GRID
-from vision.corners.occlusion_and_illumination_in_square_fit import PROFILED
+from vision.corners.blurred_edge_image_model_and_numba_kernels import GRID
+from vision.corners.occlusion_illumination_and_displaced_edges_in_square_fit import PROFILED
 
 FIRST_WIDTH = 0.8  # px
 DIRECTIONS = 36  # of tables, over half a turn

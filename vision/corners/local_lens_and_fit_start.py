@@ -14,7 +14,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera
 from vision import lens
-from vision.corners.numba_kernels_and_predicted_cell_white_share import inlined_kernel, kernel, order_statistic
+from vision.corners.blurred_edge_image_model_and_numba_kernels import inlined_kernel, kernel, order_statistic
 
 SPACING = 32.0  # px between the table's nodes; four of them to each side interpolate a lens of photographs to 1e-5 px
 BEYOND = 4  # nodes outside the image
@@ -77,7 +77,7 @@ def _at(nodes: Floats, x: float, y: float) -> tuple[float, float]:
 
 
 @kernel
-def fit_local_polynomials(nodes: Floats, centres: Floats, out: Floats) -> None:
+def fill_local_lens_polynomials(nodes: Floats, centres: Floats, out: Floats) -> None:
     """Fit local polynomials out (m, 2, TERMS).
 
     Pixel to ideal coordinates, around centres (m, 3).
@@ -145,7 +145,7 @@ class LocalPixel(NamedTuple):
 
 
 @kernel
-def ideal_to_pixel(lens: Floats, x: float, y: float, u: float, v: float) -> LocalPixel:
+def local_ideal_to_local_pixel_and_derivatives(lens: Floats, x: float, y: float, u: float, v: float) -> LocalPixel:
     """Local pixel of ideal coordinates x, y by a lens (2, TERMS), from a guess u, v.
 
     Inverse of pixel_to_ideal.
@@ -162,7 +162,9 @@ def ideal_to_pixel(lens: Floats, x: float, y: float, u: float, v: float) -> Loca
 
 
 @kernel
-def corners_to_image(lens: Floats, centre: Floats, guess: Floats, corners: Floats, covariance: Floats) -> None:
+def convert_corners_and_covariance_to_pixels_in_place(
+    lens: Floats, centre: Floats, guess: Floats, corners: Floats, covariance: Floats
+) -> None:
     """Convert corners (4, 2) and covariance (8, 8) from local ideal coordinates to image px, in place.
 
     guess : (4, 2) px
@@ -170,7 +172,7 @@ def corners_to_image(lens: Floats, centre: Floats, guess: Floats, corners: Float
     D = np.zeros((8, 8))
     for c in range(4):
         u, v = (guess[c, 0] - centre[0]) / centre[2], (guess[c, 1] - centre[1]) / centre[2]
-        u, v, ux, uy, vx, vy = ideal_to_pixel(lens, corners[c, 0], corners[c, 1], u, v)
+        u, v, ux, uy, vx, vy = local_ideal_to_local_pixel_and_derivatives(lens, corners[c, 0], corners[c, 1], u, v)
         corners[c, 0], corners[c, 1] = u * centre[2] + centre[0], v * centre[2] + centre[1]
         D[2 * c, 2 * c], D[2 * c, 2 * c + 1], D[2 * c + 1, 2 * c], D[2 * c + 1, 2 * c + 1] = ux, uy, vx, vy
     half = np.zeros((8, 8))

@@ -22,7 +22,7 @@ from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
 from vision.corners import edge_pixels, local_lens_and_fit_start, square_fit, square_gauss_newton
 from vision.corners.edge_spread_function import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
-from vision.predict import MarkerMap, marker_cells, markers_expected_in_image
+from vision.predict import MarkerMap, expected_marker_rows_and_corners_in_image, marker_cells
 
 CELL_PIXELS = 8  # pixels each way that are sampled in a cell
 # of a candidate's perimeter, within which another one is taken for the same marker. OpenCV's 0.125 takes the marker and
@@ -206,7 +206,7 @@ def detect_markers(
     Returns Detection
     """
     if T_base_platform is not None:
-        rows, places = markers_expected_in_image(camera, T_base_platform, marker_map)
+        rows, places = expected_marker_rows_and_corners_in_image(camera, T_base_platform, marker_map)
         found = fit_read_markers(
             grey_image_at_full_depth(image),
             camera,
@@ -327,7 +327,7 @@ def _cut_out(
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
     centres = local_lens_and_fit_start.local_coordinate_origins_and_scales(quads)
     polynomials = np.empty((len(quads), 2, local_lens_and_fit_start.TERMS))
-    local_lens_and_fit_start.fit_local_polynomials(
+    local_lens_and_fit_start.fill_local_lens_polynomials(
         local_lens_and_fit_start.ideal_coordinate_table(camera), centres, polynomials
     )
     room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]

@@ -7,7 +7,7 @@ unknowns), the width of the edges (1), and the grey of black and of white, each 
 brightness climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or
 one learnt from the images (vision/corners/edge_spread_function.py), one for each direction of edges. Where two edges
 meet, their product is corrected by a bivariate normal's correlated part
-(vision/corners/numba_kernels_and_predicted_cell_white_share.py), because a marker's axes are seldom square in the
+(vision/corners/blurred_edge_image_model_and_numba_kernels.py), because a marker's axes are seldom square in the
 image.
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
@@ -18,32 +18,32 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
-from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
-from vision.corners.local_lens_and_fit_start import (
-    corners_to_image,
-    fit_quad_sides_in_place,
-    misread_cell_count,
-    square_homography,
-)
-from vision.corners.numba_kernels_and_predicted_cell_white_share import (
+from vision.corners.blurred_edge_image_model_and_numba_kernels import (
     STEPS,
     Tables,
     cholesky_factor,
-    cholesky_solve,
+    fill_cholesky_solution,
     fill_edge_spread_table,
     inlined_kernel,
     kernel,
     order_statistic,
 )
-from vision.corners.occlusion_and_illumination_in_square_fit import (
+from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
+from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
+from vision.corners.local_lens_and_fit_start import (
+    convert_corners_and_covariance_to_pixels_in_place,
+    fit_quad_sides_in_place,
+    misread_cell_count,
+    square_homography,
+)
+from vision.corners.occlusion_illumination_and_displaced_edges_in_square_fit import (
     TERMS,
     Bow,
-    add_to_residual_profile,
+    add_residuals_to_edge_profile,
+    corner_covariance_inflation_by_displaced_edges,
     correct_square_fit_for_uneven_illumination,
-    covariance_inflation,
     edge_segment_sums,
-    find_occluded_cells,
+    mark_occluded_cells,
     remove_occluded_pixels,
 )
 from vision.corners.square_gauss_newton import (
@@ -60,7 +60,7 @@ from vision.corners.square_gauss_newton import (
     Work,
     accumulate_normal_equations,
     corner_covariance,
-    corners_of_homography,
+    fill_homography_corners_and_jacobian,
     gauss_newton_step,
 )
 
@@ -128,7 +128,7 @@ class Fits(NamedTuple):
         px
     steps : (m,); status : (m,) OK, or why there is none
     profile : (d, bins, 3) added to, what is left beside edges of each direction, see
-        vision/corners/occlusion_and_illumination_in_square_fit.py; of no bins where it is
+        vision/corners/occlusion_illumination_and_displaced_edges_in_square_fit.py; of no bins where it is
     not wanted
     """
 
@@ -147,7 +147,7 @@ class Fits(NamedTuple):
 
 class Room(NamedTuple):
     """What fits are worked out in: all pixels of a marker near edges, a sample of them, a raster to collect them in,
-    Work, Bow, Tables, sums of `edge_segment_sums`, and counts and cells of `find_occluded_cells`."""
+    Work, Bow, Tables, sums of `edge_segment_sums`, and counts and cells of `mark_occluded_cells`."""
 
     every: EdgePixels
     sample: EdgePixels
@@ -236,7 +236,7 @@ def _lighten(work: Work, light: Floats) -> bool:
     for k in range(6):
         H[LIGHT + k, LIGHT + k] += 1e-9 * (1 + H[LIGHT + k, LIGHT + k])
     if cholesky_factor(H, LIGHT, 6, work.L):
-        cholesky_solve(work.L, 6, H[ROWS - 1, LIGHT:], light)
+        fill_cholesky_solution(work.L, 6, H[ROWS - 1, LIGHT:], light)
     return light[0] - light[3] > FAINTEST
 
 
@@ -300,16 +300,18 @@ def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float,
     """
     every, work, corners, covariance = room.every, room.work, fits.corners[m], fits.covariances[m]
     over = correct_square_fit_for_uneven_illumination(every, square, weights, work, room.bowed)
-    if not corners_of_homography(square.g, marker.n, corners, work.J):
+    if not fill_homography_corners_and_jacobian(square.g, marker.n, corners, work.J):
         return WANDERED
     edge_segment_sums(every, square.g, work.rows, work.x, room.sums)
     noise2 = max(over, 1e-12) / max(weights - UNKNOWNS - TERMS, 1.0)
     fits.noise[m] = math.sqrt(noise2)
     corner_covariance(work, noise2, room.bowed.gain, room.bowed.own, covariance)
-    covariance *= covariance_inflation(room.sums, fits.noise[m])
-    corners_to_image(marker.lens, marker.centre, fits.quads[m], corners, covariance)
+    covariance *= corner_covariance_inflation_by_displaced_edges(room.sums, fits.noise[m])
+    convert_corners_and_covariance_to_pixels_in_place(marker.lens, marker.centre, fits.quads[m], corners, covariance)
     if fits.profile.shape[1]:
-        add_to_residual_profile(every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile)
+        add_residuals_to_edge_profile(
+            every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile
+        )
     return OK
 
 
@@ -327,7 +329,9 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
         lens[1, 1] / scale,
         lens[1, 2] / scale,
     )
-    if not square_homography(quad, lens, centre, n, g) or not corners_of_homography(g, n, corners, work.J):
+    if not square_homography(quad, lens, centre, n, g) or not fill_homography_corners_and_jacobian(
+        g, n, corners, work.J
+    ):
         return WANDERED
     # a plain False would be a type of its own, and what takes it compiled once more
     lit, limit, away, collected, part, count, used, whole, tabulated = (
@@ -346,7 +350,7 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
     for iteration in range(manner.iterations):
         if away > STRAYED or s > WIDENED * collected:
             if iteration > 0:
-                corners_to_image(lens, centre, quad, corners, fits.covariances[m])
+                convert_corners_and_covariance_to_pixels_in_place(lens, centre, quad, corners, fits.covariances[m])
                 for k in range(4):
                     quad[k, 0], quad[k, 1] = corners[k, 0], corners[k, 1]
             pixel_count = collect_edge_pixels(crop, marker, quad, g, s, room.raster, every)
@@ -387,7 +391,7 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s
             part = not whole
         elif moved.moved < SETTLED and widened < STEADY * s and away < STRAYED and s <= WIDENED * collected:
-            if counted.doubted and find_occluded_cells(every, g, work.rows, room.outlooks, hidden):
+            if counted.doubted and mark_occluded_cells(every, g, work.rows, room.outlooks, hidden):
                 lost, left = lost + counted.doubted, remove_occluded_pixels(every, g, hidden)
                 dropped, count = dropped + count - left, left
                 if count < FEWEST:

@@ -12,6 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from vision.corners.blurred_edge_image_model_and_numba_kernels import (
+    Tables,
+    cholesky_factor,
+    fill_cholesky_solution,
+    inlined_kernel,
+    kernel,
+)
 from vision.corners.edge_pixel_white_share_and_derivatives import (
     ROWS,
     STRIP,
@@ -19,13 +26,6 @@ from vision.corners.edge_pixel_white_share_and_derivatives import (
     fill_strip_white_share_and_derivatives,
 )
 from vision.corners.edge_pixels import KINDS, EdgePixels
-from vision.corners.numba_kernels_and_predicted_cell_white_share import (
-    Tables,
-    cholesky_factor,
-    cholesky_solve,
-    inlined_kernel,
-    kernel,
-)
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys
@@ -181,7 +181,7 @@ def _multiply(strip: Floats, size: int, first: int, H: Floats) -> None:
 
 
 @kernel
-def corners_of_homography(g: Floats, n: int, corners: Floats, J: Floats) -> bool:
+def fill_homography_corners_and_jacobian(g: Floats, n: int, corners: Floats, J: Floats) -> bool:
     """Corners (4, 2) of a homography g in local ideal coordinates, and Jacobian (8, 8).
 
     False if turned over.
@@ -217,8 +217,8 @@ def gauss_newton_step(square: Square, n: int, scale: float, corners: Floats, wor
     H, L, x, J = work.H, work.L, work.x, work.J
     if not cholesky_factor(H, 0, UNKNOWNS, L):
         return Moved(0.0, s, SINGULAR)
-    cholesky_solve(L, UNKNOWNS, H[ROWS - 1], x)
-    if not corners_of_homography(g, n, corners, J):
+    fill_cholesky_solution(L, UNKNOWNS, H[ROWS - 1], x)
+    if not fill_homography_corners_and_jacobian(g, n, corners, J):
         return Moved(0.0, s, WANDERED)
     moved = 0.0
     for c in range(4):
@@ -255,7 +255,7 @@ def corner_covariance(work: Work, noise2: float, gain: Floats, own: Floats, cova
         unit[:] = 0
         for k in range(8):
             unit[k] = J[a, k]
-        cholesky_solve(L, UNKNOWNS, unit, x)
+        fill_cholesky_solution(L, UNKNOWNS, unit, x)
         for b in range(8):
             row[b] = 0
             for k in range(8):

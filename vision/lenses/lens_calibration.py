@@ -10,12 +10,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData
-from rig.model.calibration_board import Board
+from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.design import Camera
 from vision import lens
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations import Observations, observations_of_frames
-from vision.lenses.board_corners_in_photograph import BoardView
+from vision.lenses.calibration_board_corner_detection_in_photograph import BoardView
 from vision.pose.pose_refinement_and_ambiguity_resolution import GATE, MEDIAN
 from vision.predict import State, predict_corners
 
@@ -180,7 +180,7 @@ def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[Floats, Floats]:
     uv = np.stack([u, v], axis=-1)
     ideal = lens.undistort(uv, camera.matrix, camera.distortion)
     points = np.concatenate([np.nan_to_num(ideal), np.ones((*u.shape, 1))], axis=-1)
-    _, J_point, J_lens = lens.project_jacobian(points, camera.matrix, camera.distortion)
+    _, J_point, J_lens = lens.projected_pixels_and_jacobians(points, camera.matrix, camera.distortion)
     inside = np.isfinite(ideal[..., 0])
     J_turn = J_point @ _cross(points)
     A, B = J_turn[inside].reshape(-1, 3), J_lens[inside].reshape(-1, J_lens.shape[-1])

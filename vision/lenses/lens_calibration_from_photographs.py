@@ -12,11 +12,11 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Pixels
 from rig.errors import FileError, NotEnoughData, RigError
-from rig.model.calibration_board import Board
+from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.design import Camera
 from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
 from vision.corner_observations import Observations
-from vision.lenses.board_corners_in_photograph import BoardView, find_board_corners
+from vision.lenses.calibration_board_corner_detection_in_photograph import BoardView, find_board_corners
 from vision.lenses.lens_calibration import (
     LEAST_CORNERS,
     MODELS,

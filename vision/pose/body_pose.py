@@ -91,7 +91,7 @@ class _Refined(NamedTuple):
     scale: float
 
 
-def undistort_corners(
+def undistorted_corners_and_covariance(
     uv: Floats, covariance: Floats, camera: Integers, cameras: Sequence[Camera]
 ) -> tuple[Floats, Floats]:
     """Undistorted ideal coordinates (n, 2) of corners (n, 2) px, with covariance (n, 2, 2).
@@ -102,7 +102,7 @@ def undistort_corners(
         rows, matrix, distortion = camera == i, cameras[i].matrix, cameras[i].distortion
         ideal[rows] = lens.undistort(uv[rows], matrix, distortion)
         points = np.concatenate([ideal[rows], np.ones((rows.sum(), 1))], axis=1)
-        back = np.linalg.inv(lens.project_jacobian(np.nan_to_num(points), matrix, distortion)[1][..., :2])
+        back = np.linalg.inv(lens.projected_pixels_and_jacobians(np.nan_to_num(points), matrix, distortion)[1][..., :2])
         out[rows] = back @ covariance[rows] @ np.swapaxes(back, -1, -2)
     return ideal, out
 

@@ -22,9 +22,13 @@ from vision.pose.body_pose import (
     Unsolved,
     body_pose_from_corners,
     inverse_pose,
-    undistort_corners,
+    undistorted_corners_and_covariance,
 )
-from vision.pose.pose_refinement_and_ambiguity_resolution import Poses, choose_poses_by_neighbours, rotation_outliers
+from vision.pose.pose_refinement_and_ambiguity_resolution import (
+    Poses,
+    choose_poses_by_neighbours,
+    rotation_outlier_reasons_by_frame,
+)
 from vision.predict import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
@@ -69,7 +73,7 @@ class UndistortedCorners:
     ) -> None:
         self.observations = observations.with_points(observations.body_points(marker_map))
         self.map, self.finest = marker_map, finest
-        self.ideal, self.covariance = undistort_corners(
+        self.ideal, self.covariance = undistorted_corners_and_covariance(
             observations.uv, observations.covariance, observations.camera, cameras
         )
         self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
@@ -233,7 +237,7 @@ def _decided(answers: dict[int, Located | Unsolved], t: Floats | None) -> tuple[
     why = {f: answer.reason for f, answer in answers.items() if not answer}
     chosen = {}
     if t is not None:
-        for f, reason in rotation_outliers(found, t).items():
+        for f, reason in rotation_outlier_reasons_by_frame(found, t).items():
             del found[f]
             why[f] = reason
         doubtful: dict[int, Sequence[Floats]] = {

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision.corner_observations import Observations
-from vision.pose.body_pose import RIVAL, inverse_pose, undistort_corners
+from vision.pose.body_pose import RIVAL, inverse_pose, undistorted_corners_and_covariance
 from vision.pose.pose_refinement_and_ambiguity_resolution import AHEAD
 from vision.predict import SQUARE, MarkerMap
 
@@ -77,7 +77,7 @@ _Sighting = tuple[int, int, Floats]  # image, row of the marker map, (k, 4, 4) T
 
 def _poses_of_sightings(o: Observations, cameras: Sequence[Camera], markers: MarkerMap) -> list[_Sighting]:
     """Poses of every marker that an image shows with its four corners: two where both fit them equally well."""
-    ideal, _ = undistort_corners(o.uv, o.covariance, o.camera, cameras)
+    ideal, _ = undistorted_corners_and_covariance(o.uv, o.covariance, o.camera, cameras)
     image, out = o.camera * len(o.frames) + o.frame, []
     order = np.lexsort((o.corner, o.marker, image))
     key = (image * len(markers.id) + o.marker)[order]

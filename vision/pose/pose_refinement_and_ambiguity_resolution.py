@@ -64,7 +64,7 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
     return chosen
 
 
-def rotation_outliers(solved_poses: Poses, t: Floats) -> dict[int, str]:
+def rotation_outlier_reasons_by_frame(solved_poses: Poses, t: Floats) -> dict[int, str]:
     """Rotation outliers among solved poses (4, 4).
 
     Flips against well-predicted neighbours.

@@ -26,9 +26,9 @@ from rig.compute.worker_processes import worker_count
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
+from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.exposures_and_image_files import read_image
 from rig.recording.recording_folder import Recording
-from rig.recording.recording_tables import Corners
 from vision.corner_observations import Observations, empty_observations, observations_from_corners
 from vision.corners import local_lens_and_fit_start
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread
@@ -42,14 +42,14 @@ from vision.corners.marker_detection_and_corner_fit import (
 )
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_fixed_cameras, locate_frames
-from vision.predict import MarkerMap, State, marker_map, markers_expected_in_image, predict_corners
-from vision.reading.parallel_image_map_and_marker_rendering import map_images_in_processes
-from vision.reading.recording_corners import (
+from vision.predict import MarkerMap, State, expected_marker_rows_and_corners_in_image, marker_map, predict_corners
+from vision.reading.corner_reading_from_recording_images import (
     Collected,
     corners_from_detections,
     group_corners_by_image,
     learn_camera_edge_spread,
 )
+from vision.reading.parallel_image_map_marker_rendering_and_white_level import map_images_in_processes
 from vision.recording_adjustment import Measurement, design_seen_from_hand, has_hand_cameras, measure_observations
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
@@ -57,7 +57,9 @@ ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what 
 STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretched, its corners have anyway
 
 
-def largest_lens_difference(corners: Corners, fitted_with: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
+def largest_pixel_shift_between_lenses(
+    corners: Corners, fitted_with: Mapping[str, Camera], cameras: Sequence[Camera]
+) -> float:
     """Largest difference, px, that two lenses make to a marker.
 
     The lenses fitted with and the adjusted ones.
@@ -73,7 +75,7 @@ def largest_lens_difference(corners: Corners, fitted_with: Mapping[str, Camera],
         if len(own):
             bent = np.empty((2, len(own), 2, local_lens_and_fit_start.TERMS))
             for k, one in enumerate((fitted_with[camera.name], camera)):
-                local_lens_and_fit_start.fit_local_polynomials(
+                local_lens_and_fit_start.fill_local_lens_polynomials(
                     local_lens_and_fit_start.ideal_coordinate_table(one), own, bent[k]
                 )
             apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
@@ -297,7 +299,7 @@ class Live:
                 return _Adjusted(None, spread, refitted)
             if (
                 not seen
-                or largest_lens_difference(
+                or largest_pixel_shift_between_lenses(
                     corners_from_detections([(*key, d) for key, d in refitted.items()])[0],
                     placed_by,
                     measurement.design.cameras,
@@ -372,7 +374,7 @@ class Live:
     def _ought(self, cameras: tuple[Camera, ...], name: str, T: RigidTransform) -> tuple[int, ...]:
         camera = next(camera for camera in cameras if camera.name == name)
         return (
-            tuple(self.markers.id[markers_expected_in_image(camera, T, self.markers)[0]].tolist())
+            tuple(self.markers.id[expected_marker_rows_and_corners_in_image(camera, T, self.markers)[0]].tolist())
             if camera.mount == "fixed"
             else ()
         )

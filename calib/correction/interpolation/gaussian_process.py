@@ -20,7 +20,10 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
+    FieldSamples,
+    merge_repeated_samples,
+)
 from rig.array_and_json_types import Booleans, Floats
 from rig.compute.numba_kernels import njit
 

@@ -21,16 +21,16 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 import scipy
 
-from calib.correction.interpolation.delaunay_and_grid_kernels import (
+from calib.correction.interpolation.delaunay_interpolation_and_grid_interpolation_kernels import (
     Tables,
     compiled_simplex_kernels,
     n_linear_interpolation_kernel,
 )
-from calib.correction.interpolation.field_interface_and_combinations import (
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
     WeightedField,
     Weights,
-    average_samples,
+    group_means_and_variances_of_samples,
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
@@ -158,7 +158,7 @@ class Grid(WeightedField):
             )
         on = found.vertex >= 0
         filled, group = np.unique(found.vertex[on], return_inverse=True)
-        values, variances = average_samples(known.take(on), group)
+        values, variances = group_means_and_variances_of_samples(known.take(on), group)
         if len(found.lost):
             values, variances = _with_estimates(found, filled, values, variances)
         grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))

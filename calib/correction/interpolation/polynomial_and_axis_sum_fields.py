@@ -17,7 +17,10 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
+    FieldSamples,
+    merge_repeated_samples,
+)
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 EMPTY = np.zeros(0)

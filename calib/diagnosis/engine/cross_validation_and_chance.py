@@ -18,8 +18,8 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaln
 
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel
-from calib.diagnosis.engine.reduced_least_squares import SWALLOWED, FrameProducts
 from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 
@@ -167,7 +167,7 @@ def time_stretch_folds(count: int, folds: int) -> Integers:
     return time_block_folds(count, min(folds, max(count // FEWEST, 2)))
 
 
-def frame_folds(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans] = ()) -> Integers:
+def cross_validation_folds_of_frames(frames: int, has_sudden_effects: bool, sides: Sequence[Booleans] = ()) -> Integers:
     """Cross-validation folds (F,) of frames.
 
     Stretches of time, which with sudden effects are spread over both sides.

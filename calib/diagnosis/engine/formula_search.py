@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from calib.diagnosis.engine.reduced_least_squares import Reduced, Stack
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import Reduced, Stack
 from rig.array_and_json_types import Floats, Integers
 
 MOST_POWER = 3

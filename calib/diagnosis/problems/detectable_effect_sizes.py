@@ -9,12 +9,12 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Threshold, least_significant_delta_chi2
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Node
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold, least_significant_delta_chi2
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C, Node
 from calib.diagnosis.engine.cross_validation_and_chance import Dispersion
+from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED, Normal
 from calib.diagnosis.engine.problem_interface import Fit
-from calib.diagnosis.engine.reduced_least_squares import SWALLOWED, Normal
-from calib.diagnosis.engine.term_selection import Selection
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate as EffectCandidate
 from rig.effects.framework.parameters_covariates_and_marker_table import QUADRATURE, Parameter

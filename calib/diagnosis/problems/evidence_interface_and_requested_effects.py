@@ -11,13 +11,19 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar, runtime_ch
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C, Candidate, NotTested, Outliers, StatedTerms
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import (
+    C,
+    Candidate,
+    NotTested,
+    Outliers,
+    StatedTerms,
+)
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
+from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress
-from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import Repeats, Suggestion
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import Repeats, Suggestion
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import Effect

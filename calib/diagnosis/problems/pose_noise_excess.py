@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 import scipy.sparse.csgraph
 
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import MATERIAL
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import MATERIAL
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
 from rig.array_and_json_types import Booleans, Floats, Integers
 

@@ -7,17 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import StatedTerms
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit, first_lack_of_fit_of_each_place
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import (
+    Covariate,
+    LackOfFit,
+    first_lack_of_fit_of_each_place,
+)
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import Suggestion
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     MeasuredFinding,
     Misfit,
     ScatterSize,
     Value,
 )
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import Suggestion
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.effects.catalogue.effect_list import Plugin
 from rig.effects.framework.effect import Effect

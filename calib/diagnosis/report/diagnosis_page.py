@@ -11,20 +11,20 @@ from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows
 from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_row
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.report_verdict_and_folder import Report, diagnosis_verdict
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, diagnosis_verdict
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
-    folding_section_html,
+    collapsible_section_html,
     heading_html,
     paragraph_html,
     table_html,
 )
 from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import panel_row_html
+from rig.report.pages.plots import figures_side_by_side_html
 
 
 class MachineFigures(Protocol):
@@ -173,10 +173,10 @@ def _sketched(name: str) -> list[str]:
         return []
     sketch, caption = effect_sketch(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
     return [
-        folding_section_html(
+        collapsible_section_html(
             caption,
             captioned_html(
-                panel_row_html(*sketch.figures),
+                figures_side_by_side_html(*sketch.figures),
                 f"From the catalogue of effects: {sketch.words}. Not of this machine: compare its shape with the "
                 "figure above. Good evidence: both look alike.",
             ),
@@ -297,7 +297,7 @@ def _tested_hypotheses(report: Report) -> list[str]:
     if not report.not_asked:
         return [*paragraphs, paragraph_html("The whole catalogue could be tested.")]
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]
-    return [*paragraphs, folding_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
+    return [*paragraphs, collapsible_section_html(f"{len(rows)} could not be", table_html(("effect", "why"), rows))]
 
 
 def _detectable(report: Report) -> list[str]:
@@ -312,7 +312,7 @@ def _detectable(report: Report) -> list[str]:
             "The size from which an effect would be found in about half of such recordings, at the place where least "
             "is needed and where most is. An effect half as large acts unseen."
         ),
-        folding_section_html(f"{len(rows)} effects", table_html(heads, rows)),
+        collapsible_section_html(f"{len(rows)} effects", table_html(heads, rows)),
     ]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Crowd, LeftOut
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Crowd, LeftOut
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, Value
 from calib.diagnosis.report.diagnosis_json_entries import (
     ASSUMED,

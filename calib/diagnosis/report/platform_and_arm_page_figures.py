@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
@@ -36,7 +36,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, note_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
-from rig.report.pages.plots import Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 
 ARM_PLAYED = 4  # findings that are shown in three dimensions
 ROWS = (
@@ -303,7 +303,7 @@ def _levels(d: Diagnosis, struts: Floats) -> str:
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
     return captioned_html(
-        panel_row_html(
+        figures_side_by_side_html(
             *(
                 bar_chart_svg(
                     "what is left, RMS",

@@ -10,26 +10,29 @@ from typing import cast
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C
+from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.problem_interface import Fit
-from calib.diagnosis.engine.term_selection import Selection
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
-from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import closure_residuals, closures_in_metres
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     residual_change_with_only_effects,
 )
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
+from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
+    closure_residuals,
+    closures_in_metres,
+)
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.residual_figure_captions import BARS, DOTS, IN_TIME, MAP
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.recording.recording_tables import write_table
+from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.report.pages.html_and_svg_elements import captioned_html, svg_figure, svg_text, svg_tooltip
 from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
-from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 
 WORST = 24  # poses that are drawn
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
@@ -113,7 +116,7 @@ def residual_scatter_figure(
             (Series(ends, ends, kind="line", colour=GREY),),
         ),
     )
-    figures = panel_row_html(
+    figures = figures_side_by_side_html(
         *(
             plot_panel_svg(
                 title,
@@ -347,7 +350,7 @@ def mean_residual_figures_over_camera_image(
     cell = camera.width / CELLS
     drawn = [patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
-    figures = panel_row_html(
+    figures = figures_side_by_side_html(
         *(
             image_plane_figure(
                 f"{camera.name}, {title}",

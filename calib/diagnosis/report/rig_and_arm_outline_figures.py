@@ -21,7 +21,7 @@ from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
 from rig.model.pose import transform_points
 from rig.report.pages.html_and_svg_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
-from rig.report.pages.plots import panel_row_html
+from rig.report.pages.plots import figures_side_by_side_html
 from vision.predict import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
@@ -211,7 +211,7 @@ def arm_outline_figures(arm: Arm | Chain, q: Floats, marked_joints: dict[int, di
         _view(title, at[ghosts][:, :, [a, b]], at[typical][:, [a, b]], joints[typical][:, [a, b]], marks)
         for (a, b), title in VIEWS
     ]
-    return panel_row_html(*views) + (list_html(labels.values()) if labels else "")
+    return figures_side_by_side_html(*views) + (list_html(labels.values()) if labels else "")
 
 
 class Mark(NamedTuple):
@@ -274,7 +274,7 @@ def _points(q: Floats, arm: Arm | Chain) -> tuple[Floats, Floats]:
     below = np.broadcast_to(np.eye(4), (len(q), 4, 4))
     for (stage, own), T in zip(chains.stages_and_values(q, arm), chains.stage_transforms(q, arm)):
         if isinstance(stage, Arm):
-            links = mechanism.link_frames(own, stage)[..., :3, 3]
+            links = mechanism.single_hand_arm_link_frames(own, stage)[..., :3, 3]
             outline, joints = [*outline, _in(below, links)], [*joints, _in(below, links[:, : len(stage.joints)])]
         else:  # a strut is marked at its foot
             feet, _ = chains.KINDS[stage.kind].strut_ends(T, stage)

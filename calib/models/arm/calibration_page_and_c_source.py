@@ -16,19 +16,19 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
-from calib.correction.correction_as_c_source import (
+from calib.correction.correction_fields_as_c_functions import CTables
+from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import (
     FIELDS,
     CCall,
     CSource,
     append_add_remainder_c_function,
-    c_file_opening,
+    c_file_head_interface_and_constants,
     c_source_part,
     controller_terms_of_compensable_effects,
     effect_compensation_c_functions,
     joined_c_parts,
 )
-from calib.correction.correction_fields_as_c_functions import CTables
-from calib.correction.physics_compensation import Physics
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import CertifiedArm
 from calib.models.arm.correction import ArmCorrection
@@ -52,14 +52,14 @@ from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import hand_moti
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
     captioned_html,
-    folding_section_html,
+    collapsible_section_html,
     heading_html,
     paragraph_html,
     section_html,
     table_html,
 )
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.pages.plots import Series, panel_row_html, plot_panel_svg
+from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
 
 
 def write_arm_calibration_page(
@@ -94,7 +94,7 @@ def write_arm_calibration_page(
         heading_html("Parameters"),
         *(paragraph_html(f"{line}.") for line in certified.found.rank.report()),
         *(paragraph_html(f"{line}.") for line in tilt_report(samples.tilts, certified.found.tilts)),
-        folding_section_html("Every parameter's change", _arm_parameters(calibration)),
+        collapsible_section_html("Every parameter's change", _arm_parameters(calibration)),
     ]
     write_calibration_page_from_parts(path, recording, calibration, parts, links)
 
@@ -138,7 +138,7 @@ def _profiles(calibration: Calibration, samples: Samples) -> str:
     q, nominal = samples.commanded, calibration.correction.nominal
     rho, units = calibration.correction.rho(q), mechanisms.axis_units(nominal)
     places = mechanisms.axis_place_texts(nominal)
-    return panel_row_html(
+    return figures_side_by_side_html(
         *(
             plot_panel_svg(
                 places[i],
@@ -211,7 +211,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
         geometry.lines.append(f"enum {{ POSITIONS = {count.position}, ROTATIONS = {count.rotation} }};")
     return CSource(
         joined_c_parts(
-            *c_file_opening(call, correction, effects, effects.plays, origin),
+            *c_file_head_interface_and_constants(call, correction, effects, effects.plays, origin),
             c_source_part("arm"),
             "\n".join([*geometry.lines, *_chain("NOMINAL", nominal), *_chain("FITTED", fitted)]),
             *(c_source_part(name) for name in FIELDS if name in tables.parts),

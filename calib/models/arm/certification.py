@@ -17,14 +17,15 @@ from calib.certification.held_out_errors import (
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_travel_limits,
-    configuration_folds,
     configuration_numbers,
+    time_block_folds_of_configurations,
 )
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.identify.bounded_least_squares_and_robust_fit import CONSISTENT, MOST, isolated_outlier_rows
 from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
+from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import KINDS, PLAUSIBLE, Observations, sample_observations
+from calib.models.arm.error_model_and_observations import KINDS, PLAUSIBLE, Observations, observations_of_samples
 from calib.models.arm.identification_and_joint_profiles import (
     GATE,
     Identified,
@@ -32,7 +33,6 @@ from calib.models.arm.identification_and_joint_profiles import (
     independent_arm_parameter_mask,
     require_enough_observations,
 )
-from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     JointFit,
     held_out_geometry_errors,
@@ -102,7 +102,7 @@ def certify_arm(
     report("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
     start = start_arm_of_fit(
-        sample_observations(samples), nominal, instrument
+        observations_of_samples(samples), nominal, instrument
     )  # a basin, not a fit: the folds' own fits forget it
     known = samples if physics is None else physics.samples
     correction, found = calibrate_arm(known, nominal, instrument, False, start)
@@ -166,7 +166,7 @@ def _counted(found: Identified, samples: Samples) -> Booleans:
     """(n,) bool, samples that count where they are held out: all but those that agree with no geometry and no
     neighbour, where these are few.
     """
-    sigma = np.sqrt(np.einsum("mkk->mk", sample_observations(samples).covariance) + found.scatter**2)
+    sigma = np.sqrt(np.einsum("mkk->mk", observations_of_samples(samples).covariance) + found.scatter**2)
     relative = found.residuals / sigma
     relative = relative / np.maximum(1.0, CONSISTENT * np.median(np.abs(relative), axis=0))
     wild = ~found.inliers & isolated_outlier_rows(relative, samples.t, samples.commanded, GATE)
@@ -202,12 +202,14 @@ def _parts(label: Integers) -> Integers:
     one or a tenth.
     """
     count = label.max() + 1
-    return configuration_folds(label, min(STRETCHES, count)) % (PARTS if count >= FEW else min(count, 10))
+    return time_block_folds_of_configurations(label, min(STRETCHES, count)) % (
+        PARTS if count >= FEW else min(count, 10)
+    )
 
 
 def _enough_for_any(samples: Samples, nominal: Arm) -> None:
     """Raises NotEnoughData, with how many it takes, for samples too few to fit the arm at all."""
-    kind = sample_observations(samples).kind
+    kind = observations_of_samples(samples).kind
     require_enough_observations(len(samples), KINDS[kind], int(independent_arm_parameter_mask(nominal, kind).sum()))
 
 
@@ -233,18 +235,18 @@ def _geometry(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm | None
 ) -> tuple[ArmCorrection, Identified]:
     """The same by the geometry alone."""
-    observations = sample_observations(samples)
+    observations = observations_of_samples(samples)
     start = start_arm_of_fit(observations, nominal, instrument) if start is None else start
     found = identify_arm(observations, start)
     owners = placed_nominal_arm(
-        sample_observations(replace(samples, known=None)), nominal, instrument, start
+        observations_of_samples(replace(samples, known=None)), nominal, instrument, start
     )  # it knows of no physics
     return ArmCorrection(owners, found.arm, (None,) * len(nominal.joints), samples.commanded), found
 
 
 def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) -> tuple[ArmCorrection, Identified]:
     """The same with joint profiles on top of what `_geometry` found, geometry and profiles in turn."""
-    observations, parts = sample_observations(samples), correction.remainder
+    observations, parts = observations_of_samples(samples), correction.remainder
     for _ in range(ROUNDS):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
         parts = identification_and_joint_profiles.fit_joint_profiles(observations, replace(found, residuals=left))

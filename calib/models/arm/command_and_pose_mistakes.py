@@ -2,7 +2,8 @@
 
 Swapped joints, links, poses or frame conventions.
 
-Source: rotations as calib.models.arm.instrument_placement.solve_robot_world_hand_eye_rotations; positions by
+Source: rotations as
+calib.models.arm.arm_base_and_tool_placement_in_instrument_frame.solve_robot_world_hand_eye_rotations; positions by
 Kabsch in turn with the target's place
 """
 
@@ -13,13 +14,13 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm import error_model_and_observations, instrument_placement
-from calib.models.arm.error_model_and_observations import Observations, position_observations
-from calib.models.arm.instrument_placement import (
+from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
+from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import (
     nearest_rotation,
     rigid_transform,
     solve_robot_world_hand_eye_rotations,
 )
+from calib.models.arm.error_model_and_observations import Observations, position_observations
 from rig.array_and_json_types import Floats, Integers
 from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_poses_csv_as_written
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
@@ -127,7 +128,7 @@ class ReachedPoses:
             own = np.diag(np.repeat(np.square(INSTRUMENT), 3))
             seen = Observations("pose", q, self.T, np.tile(own, (len(q), 1, 1)), np.zeros((len(q), 6, 0)))
         try:
-            found = instrument_placement.place_base_and_tool_of_arm(
+            found = arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
                 seen, self.arm, free.base == "free", free.tool == "free"
             )
         except RigError:
@@ -135,7 +136,7 @@ class ReachedPoses:
         moved = np.abs(
             error_model_and_observations.joint_zeros(found) - error_model_and_observations.joint_zeros(self.arm)
         )[1:]  # the first joint's zero is the base's
-        if moved.max(initial=0.0) > OTHER * instrument_placement.ZERO:
+        if moved.max(initial=0.0) > OTHER * arm_base_and_tool_placement_in_instrument_frame.ZERO:
             return False
         r = seen.residuals(found)
         return bool(

@@ -57,7 +57,7 @@ def _solution_from_start(T_base_platform: RigidTransform, arm: Arm, start: Float
             error = pose_difference(mechanism.forward(q[going], arm), at)
             Jt = np.swapaxes(J, 1, 2)
             q[going] += (Jt @ np.linalg.solve(J @ Jt + DAMPING**2 * np.eye(6), error[..., None]))[..., 0]
-    q, left = mechanism.solve_inverse(T_base_platform, arm, q, starts=0)
+    q, left = mechanism.solve_arm_inverse_by_damped_least_squares(T_base_platform, arm, q, starts=0)
     return mechanism.nearest_equivalent_angles(q, arm, start), left
 
 
@@ -121,12 +121,14 @@ class ArmCorrection(Correction[Arm, Profile]):
         if self.deficient:
             return (
                 commands
-                - deficient.nearest_joint_values(
+                - deficient.nearest_joint_values_remaining_error_and_settled(
                     self.predict(commands), self.nominal, commands, deficient.hand_motion_direction_counts(self.nominal)
                 )[0]
             )
         flat = commands.reshape(-1, commands.shape[-1])
-        found, left = mechanism.solve_inverse(self.predict(flat), self.nominal, flat, starts=0)
+        found, left = mechanism.solve_arm_inverse_by_damped_least_squares(
+            self.predict(flat), self.nominal, flat, starts=0
+        )
         far = np.flatnonzero(left > mechanism.GOOD)
         if len(far):
             raise Unreachable(
@@ -257,7 +259,7 @@ class ArmCorrection(Correction[Arm, Profile]):
             q, reached = (
                 _solution_from_start(T[todo], self.fitted, start)
                 if k < starts.shape[1]
-                else mechanism.solve_inverse(T[todo], self.fitted, start)
+                else mechanism.solve_arm_inverse_by_damped_least_squares(T[todo], self.fitted, start)
             )
             q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
             better = (reached <= TOLERANCE) | (reached < left[todo])
@@ -311,7 +313,7 @@ class ArmCorrection(Correction[Arm, Profile]):
         (m, joints), as `_nearest`.
         """
         count = deficient.hand_motion_direction_counts(self.nominal)
-        q, rest, settled = deficient.nearest_joint_values(
+        q, rest, settled = deficient.nearest_joint_values_remaining_error_and_settled(
             T, arm, start, count, None if rho is None else lambda values: values - rho(values)
         )
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)

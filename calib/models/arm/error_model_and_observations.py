@@ -237,7 +237,7 @@ def observation_jacobian(kind: str, pose_jacobian: Floats, q: Floats, arm: Arm, 
     return u[:, None, :] @ pose_jacobian
 
 
-def sample_observations(samples: Samples) -> Observations:
+def observations_of_samples(samples: Samples) -> Observations:
     """Observations of Samples: whole poses, or the part of them that was measured, with what tilt sensors showed."""
     return replace(_instrument_observations(samples), tilts=samples.tilts, hand=samples.hand)
 

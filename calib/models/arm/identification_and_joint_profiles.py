@@ -102,7 +102,7 @@ def identify_arm(
     """Identified arm: the parameters that explain the observations.
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see
-        calib.models.arm.instrument_placement)
+        calib.models.arm.arm_base_and_tool_placement_in_instrument_frame)
     free : (p,) bool, the parameters to fit, those of `parameters` by default; largest_median_error : m (orientations:
         rad), median by which nominal may miss
     Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not

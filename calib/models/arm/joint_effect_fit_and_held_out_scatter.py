@@ -17,11 +17,14 @@ from calib.certification.held_out_errors import (
     mean_square_pose_errors_caused_by_parameters,
     residuals_corrected_for_absorbed_noise,
 )
-from calib.correction.physics_compensation import poses_with_predicted_rotations, samples_with_effects
+from calib.correction.physical_effects_of_calibration_and_their_compensation import (
+    poses_with_predicted_rotations,
+    samples_with_effects,
+)
 from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import observation_jacobian, sample_observations
+from calib.models.arm.error_model_and_observations import observation_jacobian, observations_of_samples
 from calib.models.arm.identification_and_joint_profiles import (
     Identified,
     identify_arm,
@@ -68,7 +71,7 @@ class History:
 
     def identified(self, samples: Samples, start: Arm) -> Identified:
         """Identified geometry of samples that were told, by the parameters that the arm as stated has."""
-        observations = sample_observations(samples)
+        observations = observations_of_samples(samples)
         return identify_arm(
             observations, start, independent_arm_parameter_mask(require_arm(self.design.mechanism), observations.kind)
         )
@@ -79,7 +82,9 @@ class History:
         """
         design = replace(self.design, mechanism=arm)
         run = (design, self.commands, samples.t, poses_with_predicted_rotations(design, samples), effects, self.sensors)
-        return *motion_simulation.effective_commands_and_sway(*run, samples.hand), motion_simulation.lean_of_base(*run)
+        return *motion_simulation.effective_commands_and_sway(
+            *run, samples.hand
+        ), motion_simulation.base_lean_rotation_vectors(*run)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +190,7 @@ class WhitenedSamples:
 
     @staticmethod
     def of(samples: Samples, found: Identified) -> "WhitenedSamples":
-        o, shared = sample_observations(samples), samples.common.shape[2]
+        o, shared = observations_of_samples(samples), samples.common.shape[2]
         whole = o.kind == "direction" and len(found.scatter) == 6  # as certified, of a whole pose
         scatter = found.scatter[3:5] if whole else found.scatter
         W = np.linalg.inv(np.linalg.cholesky(o.covariance + np.diag(scatter**2)))[found.inliers]
@@ -227,7 +232,7 @@ class WhitenedSamples:
 
     def left(self, samples: Samples) -> Floats:
         """(m k + j,) whitened residuals of samples, all that the nuisances explain taken out."""
-        o = sample_observations(samples)
+        o = observations_of_samples(samples)
         seen = (self.W @ o.residuals(self.arm)[self.inliers][..., None]).reshape(-1, 1)
         lower = np.zeros((0, 1))
         if self.tilts is not None and o.tilts is not None:
@@ -360,7 +365,7 @@ def mean_square_arm_errors_caused_by_parameters(
 def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:
     """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
     J = error_model_and_observations.parameter_jacobian(agreed.commanded, correction.fitted, agreed.hand)
-    return J, found.covariance, sample_observations(agreed).covariance + np.diag(found.scatter**2)
+    return J, found.covariance, observations_of_samples(agreed).covariance + np.diag(found.scatter**2)
 
 
 def identification_with_held_out_scatter(

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certification.error_claim_over_workspace import (
+from calib.certification.claimed_error_reduction_over_workspace import (
     DRAWS,
     PLACES,
     Claim,
@@ -20,7 +20,7 @@ from calib.certification.error_claim_over_workspace import (
     claim_from_machine_draws,
     draw_variance_ratio,
     empty_claim_of_too_few_configurations,
-    mean_square_pose_errors_of_extension,
+    mean_square_pose_errors_stated_by_extension,
 )
 from calib.certification.extended_correction_certification import (
     NONE,
@@ -35,13 +35,13 @@ from calib.certification.held_out_errors import draw_mean_square_common_pose_err
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_travel_limits,
-    configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
+    time_block_folds_of_configurations,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
 from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
-from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, FieldSamples
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit
 from calib.models.arm.correction import ArmCorrection
@@ -50,9 +50,9 @@ from calib.models.arm.error_model_and_observations import (
     Observations,
     Rank,
     joint_jacobian,
+    observations_of_samples,
     parameter_jacobian,
     predicted_target_poses,
-    sample_observations,
 )
 from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameter_mask
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
@@ -104,7 +104,7 @@ def commanded_minus_joint_values_of_measured_poses(
     arm : the model; common_error_draw : (j,) draw of the poses' common errors, taken out
     Raises RigError as `correction_summands_by_nearest_axis_values`
     """
-    o = sample_observations(samples)
+    o = observations_of_samples(samples)
     away = np.einsum("mkj,j->mk", o.common, common_error_draw)
 
     def model(q: Floats) -> tuple[Floats, Floats]:
@@ -138,7 +138,7 @@ def certify_arm_correction_extension(
     report = progress or silent_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     report("fitting the geometry", 0, 1)
-    start = start_arm_of_fit(sample_observations(samples), nominal, instrument)
+    start = start_arm_of_fit(observations_of_samples(samples), nominal, instrument)
 
     def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
         return (
@@ -173,7 +173,7 @@ def certify_arm_correction_extension(
             held = replace(
                 held,
                 parameters=mean_square_arm_errors_caused_by_parameters(
-                    found, corrected, agreed, configuration_folds(of_agreed, min(FOLDS, len(agreed)))
+                    found, corrected, agreed, time_block_folds_of_configurations(of_agreed, min(FOLDS, len(agreed)))
                 ),
             )
         found = identification_with_held_out_scatter(found, held, rng)
@@ -188,7 +188,7 @@ def nominal_arm_correction(
     Nothing fitted but the instrument's placement.
     Returns (ArmCorrection, Identified)
     """
-    o = sample_observations(samples)
+    o = observations_of_samples(samples)
     arm = placed_nominal_arm(o, nominal, instrument, start)
     return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), unfitted_arm(o, arm)
 
@@ -218,7 +218,7 @@ def _mean_square_field_error(field: Field, samples: Samples, arm: Arm) -> float:
 
 def _without(samples: Samples, correction: ArmCorrection, found: Identified, alone: bool) -> Identified:
     """The Identified once the extension is taken off: what that corrects is no scatter and widens no parameter."""
-    o = sample_observations(samples)
+    o = observations_of_samples(samples)
     effective = replace(o, q=o.q - correction.rho(o.q))
     if alone or correction.extension is None:
         return replace(
@@ -245,12 +245,12 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     middle = f"the middle {FILL * 100:.0f} % of the recorded angles, all joints independent"
     if len(each) < LEAST:
         return empty_claim_of_too_few_configurations(information, middle)
-    q = evenly_spread_visited_configurations(correction)
+    q = configurations_evenly_over_visited_joint_ranges(correction)
     T = correction.predict(q)
     if certified.left is None:
         return empty_claim_without_held_out_data(information, middle)
     stated = float(
-        mean_square_pose_errors_of_extension(
+        mean_square_pose_errors_stated_by_extension(
             correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted)
         )[0]
     )
@@ -275,7 +275,7 @@ def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, flo
     X + KSF(X) instead of to the fixed point.
     Source: configuration-space patent, [0030], [0091]
     """
-    q = evenly_spread_visited_configurations(correction)
+    q = configurations_evenly_over_visited_joint_ranges(correction)
     x = q - _summand(correction, q)
     near = np.isfinite(x).all(axis=1)
     off = mechanism.joint_value_difference(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
@@ -287,13 +287,15 @@ def _summand(correction: ArmCorrection, q: Floats) -> Floats:
     nominal model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
     if correction.deficient:
         return correction.summand(q)
-    found, rest = mechanism.solve_inverse(correction.predict(q), correction.nominal, q, starts=0)
+    found, rest = mechanism.solve_arm_inverse_by_damped_least_squares(
+        correction.predict(q), correction.nominal, q, starts=0
+    )
     return np.where(
         (rest <= mechanism.GOOD)[:, None], mechanism.joint_value_difference(q, found, correction.nominal), np.nan
     )
 
 
-def evenly_spread_visited_configurations(correction: ArmCorrection) -> Floats:
+def configurations_evenly_over_visited_joint_ranges(correction: ArmCorrection) -> Floats:
     """(m, joints) rad or m, evenly over the middle of the values visited."""
     seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
     return sobol_configurations(seen, PLACES_HELD, FILL)
@@ -338,7 +340,7 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
         if hand is None
         else predicted_target_poses(q - correction.rho(q), correction.fitted, hand)
     )
-    stated = mean_square_pose_errors_of_extension(correction, q, joint_jacobian(q, found.arm, hand))
+    stated = mean_square_pose_errors_stated_by_extension(correction, q, joint_jacobian(q, found.arm, hand))
     own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated
     workspace = Workspace(
         parameter_jacobian(q, correction.fitted, hand),
@@ -346,7 +348,7 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
         own,
         words,
     )
-    observed = sample_observations(each)
+    observed = observations_of_samples(each)
     free = independent_arm_parameter_mask(
         correction.nominal, observed.kind
     )  # of the figures stated: axes found a little off parallel tell no more

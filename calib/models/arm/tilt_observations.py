@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter
 from rig.array_and_json_types import Booleans, Floats
-from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor, linearised_tilts
+from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor, tilt_residuals_and_jacobians
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 
@@ -86,16 +86,16 @@ class TiltRows:
 def tilt_equation_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
     """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
     sensors = readings.sensors
-    links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
+    links = mechanism.single_hand_arm_link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
     sigma = readings.mounting_sigma
     usable = readings.usable[..., None] / np.array([[s.sigma] for s in sensors])
     mounting = np.zeros(len(sigma))
     for _ in range(ROUNDS):
-        residuals, turns, columns = linearised_tilts(readings, links, mounting)
+        residuals, turns, columns = tilt_residuals_and_jacobians(readings, links, mounting)
         A = np.concatenate([(columns * usable[..., None]).reshape(-1, len(sigma)), np.diag(1 / sigma)])
         y = np.concatenate([(residuals * usable).ravel(), -mounting / sigma])
         mounting = mounting + np.linalg.lstsq(A, y)[0]
-    residuals, turns, columns = linearised_tilts(readings, links, mounting)
+    residuals, turns, columns = tilt_residuals_and_jacobians(readings, links, mounting)
     return TiltRows(readings, residuals, turns, mounting, sigma, columns)
 
 
@@ -116,7 +116,7 @@ def link_rotation_jacobian_by_joints(readings: TiltReadings, q: Floats, arm: Arm
 
     In rad per rad of each joint.
     """
-    z = np.swapaxes(mechanism.link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
+    z = np.swapaxes(mechanism.single_hand_arm_link_frames(q, arm)[:, : len(arm.joints), :3, 2], 1, 2) * ~arm.slides
     by_command = arm.motion_by_command
     return np.stack([z * (np.arange(len(z[0, 0])) < one.link) @ by_command for one in readings.sensors], axis=1)
 
@@ -130,10 +130,10 @@ def planned_tilt_jacobian(
     gravity : (3,) in the frame of poses; pose_jacobian : (n, 6, p) of the target's pose with the parameters
     """
     down = np.tile(gravity / np.linalg.norm(gravity), (len(q), 1))
-    links = mechanism.link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
+    links = mechanism.single_hand_arm_link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
     angles = np.stack([sensor.shown(links[:, k], down) for k, sensor in enumerate(sensors)], axis=1)
     readings = TiltReadings(sensors, angles, down)
-    _, turns, mounting = linearised_tilts(readings, links, np.zeros(3 + 3 * len(sensors)))
+    _, turns, mounting = tilt_residuals_and_jacobians(readings, links, np.zeros(3 + 3 * len(sensors)))
     turned = turns @ link_rotation_jacobian_by_parameters(readings, q, arm, pose_jacobian)
     columns = np.concatenate([turned, mounting], axis=3) * readings.usable[..., None, None]
     return columns.reshape(len(q), 2 * len(sensors), -1)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.error_claim_over_workspace import (
+from calib.certification.claimed_error_reduction_over_workspace import (
     DRAWS,
     PLACES,
     Claim,
@@ -19,7 +19,7 @@ from calib.certification.error_claim_over_workspace import (
     Workspace,
     claim_from_machine_draws,
     empty_claim_of_too_few_configurations,
-    mean_square_pose_errors_of_extension,
+    mean_square_pose_errors_stated_by_extension,
 )
 from calib.certification.extended_correction_certification import empty_claim_without_held_out_data
 from calib.certification.held_out_errors import (
@@ -58,7 +58,7 @@ from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning.configuration_generators import FILL, sobol_configurations
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
-    folding_section_html,
+    collapsible_section_html,
     heading_html,
     paragraph_html,
     section_html,
@@ -171,7 +171,9 @@ def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.r
     if certified.correction.is_extended and certified.left is None:
         return empty_claim_without_held_out_data(information, words)
     values, T = chain_workspace_values_and_poses(certified.correction, samples.commanded)
-    stated = mean_square_pose_errors_of_extension(certified.correction, values, mechanism.jacobian(values, found.chain))
+    stated = mean_square_pose_errors_stated_by_extension(
+        certified.correction, values, mechanism.jacobian(values, found.chain)
+    )
     own = (
         (found.scatter**2).reshape(2, 3).sum(axis=1) + stated
         if certified.left is None
@@ -231,4 +233,4 @@ def _chain_parameters(done: CertifiedChain) -> str:
         )
         if s > 0
     ]
-    return folding_section_html("Every parameter", table_html(("change from nominal", "", "± (k = 2)", ""), rows))
+    return collapsible_section_html("Every parameter", table_html(("change from nominal", "", "± (k = 2)", ""), rows))

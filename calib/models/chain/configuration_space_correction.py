@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.certification.error_claim_over_workspace import mean_square_pose_errors_of_extension
+from calib.certification.claimed_error_reduction_over_workspace import mean_square_pose_errors_stated_by_extension
 from calib.certification.extended_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,
@@ -18,13 +18,13 @@ from calib.certification.extended_correction_certification import (
 )
 from calib.certification.held_out_errors import mean_square_pose_errors_caused_by_parameters
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
-    configuration_folds,
     configuration_numbers,
+    time_block_folds_of_configurations,
 )
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
 from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
-from calib.correction.interpolation.field_interface_and_combinations import Field, FieldSamples
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, FieldSamples
 from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_values_and_poses
 from calib.models.chain.error_model_and_identification import (
     Identified,
@@ -112,13 +112,13 @@ def certify_chain_correction_extension(
         parameter_jacobian(samples.commanded, found.chain),
         found.covariance,
         noise,
-        configuration_folds(label, min(FOLDS, label.max() + 1)),
+        time_block_folds_of_configurations(label, min(FOLDS, label.max() + 1)),
     )
     left = replace(done.left, parameters=absorbed)
     values, _ = chain_workspace_values_and_poses(correction, samples.commanded)
     inside = np.ones(len(values), bool) if correction.extension is None else correction.extension.inside(values)
     values = values[inside] if inside.any() else values  # beyond the samples the extension states an error itself
-    stated = mean_square_pose_errors_of_extension(correction, values, mechanism.jacobian(values, found.chain))
+    stated = mean_square_pose_errors_stated_by_extension(correction, values, mechanism.jacobian(values, found.chain))
     own = np.maximum(left.own(float(stated[0]), rng) - stated, 0.0)  # what no part of the correction states
     found = replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(own / 3, 3))))
     return CertifiedChain(correction, found, label, done.held_out, left), tried

@@ -30,7 +30,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Parallel,
     kinematics_of,
     loop_closure_parameter_jacobian,
-    strut_length_jacobian,
+    strut_or_axis_jacobian_by_pose,
 )
 from rig.model.pose import pose_difference, rotate_in_place
 
@@ -222,7 +222,7 @@ def whitened_pose_row(
 
 
 @njit(cache=True)
-def whitened_pose_rows(
+def fill_whitened_rows_of_all_poses(
     commands: Floats, R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> int:
     """Whitened rows of all poses, as `whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
@@ -249,7 +249,7 @@ def linearised_loops_of_more_than_six_struts(
     Raises RigError naming the first pose on which the struts do not close
     """
     T = _poses_of_lengths(samples, lengths, platform)
-    A = strut_length_jacobian(T, platform)
+    A = strut_or_axis_jacobian_by_pose(T, platform)
     white = np.linalg.inv(np.linalg.cholesky(loop_covariance(A, samples.covariance) + np.diag(scatter**2)))
     # what the predicted pose leaves of the loops, and from there to the measured one
     left = (A @ pose_difference(T, samples.T_base_platform)[..., None])[..., 0] - (
@@ -264,10 +264,10 @@ def linearised_loops_of_more_than_six_struts(
 
 def loop_covariance(loop_jacobian: Floats, covariance: Floats) -> Floats:
     """Covariance (n, axes, axes) m^2 that poses' covariance (n, 6, 6) gives loops of a Jacobian (n, axes, 6)."""
-    return loop_covariance_with_length_resolution(loop_jacobian @ covariance @ np.swapaxes(loop_jacobian, 1, 2))
+    return add_length_resolution_to_loop_covariance(loop_jacobian @ covariance @ np.swapaxes(loop_jacobian, 1, 2))
 
 
-def loop_covariance_with_length_resolution(covariance: Floats) -> Floats:
+def add_length_resolution_to_loop_covariance(covariance: Floats) -> Floats:
     """Covariance (n, axes, axes) m^2 of loops with how finely lengths are known: READING where more loops than six have
     combinations that no pose moves, which nothing else bounds.
     """
@@ -310,7 +310,7 @@ def linearised_pose_coordinate_equations(
     """
     some = list(mechanism.pose_coordinates)
     T = _poses_of_lengths(samples, lengths, mechanism)
-    to_pose = np.linalg.inv(strut_length_jacobian(T, mechanism)[..., some])
+    to_pose = np.linalg.inv(strut_or_axis_jacobian_by_pose(T, mechanism)[..., some])
     own = samples.covariance[:, some][:, :, some] + (to_pose * scatter**2) @ np.swapaxes(to_pose, 1, 2)
     white = np.linalg.inv(np.linalg.cholesky(own))
     left = pose_difference(T, samples.T_base_platform)[:, some]

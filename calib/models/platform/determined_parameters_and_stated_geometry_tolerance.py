@@ -62,7 +62,7 @@ def standard_error_along(information_root: Floats, direction: Floats) -> float:
     return float(np.linalg.norm(np.linalg.solve(information_root.T, direction)))
 
 
-def frame_motion_columns(mechanism: Hexapod) -> Floats:
+def parameter_changes_by_base_and_platform_frame_motion(mechanism: Hexapod) -> Floats:
     """Frame motion columns (7 struts, 12).
 
     The parameters' change with the base frame and the platform frame.
@@ -85,7 +85,7 @@ def base_motion_columns(mechanism: Struts) -> Floats:
     The parameters' change with the base frame; of two struts (6, 3).
     """
     if isinstance(mechanism, Hexapod):
-        return frame_motion_columns(mechanism)[:, :6]
+        return parameter_changes_by_base_and_platform_frame_motion(mechanism)[:, :6]
     out = np.zeros((6, 3))
     out[0:4:2, 0] = out[1:4:2, 1] = 1.0
     out[:4, 2] = (mechanism.base_joints @ [[0, 1.0], [-1, 0]]).ravel()
@@ -132,7 +132,7 @@ def _patterns(mechanism: Parallel) -> dict[str, Floats]:
 def _of_hexapod(mechanism: Hexapod) -> dict[str, Floats]:
     """{name: direction (7 struts,)} of a hexapod's patterns beyond single parameters."""
     found, count = {}, len(mechanism.axes)
-    motions = frame_motion_columns(mechanism)
+    motions = parameter_changes_by_base_and_platform_frame_motion(mechanism)
     for k, plate in enumerate(("base", "platform")):
         for j, axis in enumerate(("along x", "along y", "along z", "about x", "about y", "about z")):
             found[f"{plate} joints moved {axis}"] = motions[:, 6 * k + j]

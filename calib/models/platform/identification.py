@@ -31,7 +31,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_redundant,
     loop_closure_parameter_jacobian,
     mechanism_with_parameters,
-    strut_length_jacobian,
+    strut_or_axis_jacobian_by_pose,
 )
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
@@ -84,7 +84,7 @@ def identify_platform(
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
-    refuse_redundancy_without_followers(nominal)
+    require_followers_of_redundant_platform(nominal)
     lengths = samples.effective - (0 if strut_deviations is None else strut_deviations)
     p = geometric_parameters(nominal if similar_fit is None else similar_fit.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
@@ -174,7 +174,7 @@ class Loops:
             )
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
         right[..., 1:] = common
-        bad = closed_loop_equations.whitened_pose_rows(
+        bad = closed_loop_equations.fill_whitened_rows_of_all_poses(
             self.lengths, self.R, self.t, p, self.measured, scatter**2, right, J
         )
         if bad >= 0:
@@ -196,7 +196,10 @@ class Loops:
             np.ones(len(self.lengths), bool),
         )
         commanded = mechanisms.kinematics_of(geometry).forward(self.lengths, geometry)
-        A, loops = strut_length_jacobian(commanded, geometry), loop_closure_parameter_jacobian(commanded, geometry)
+        A, loops = (
+            strut_or_axis_jacobian_by_pose(commanded, geometry),
+            loop_closure_parameter_jacobian(commanded, geometry),
+        )
         left = self.lengths - mechanisms.kinematics_of(geometry).inverse(T, geometry)
         sigma = np.sqrt(np.einsum("nii->ni", closed_loop_equations.loop_covariance(A, self.samples.covariance)))
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
@@ -216,7 +219,7 @@ class Loops:
         axes) m^2 from the poses'.
         """
         T, geometry = self.samples.T_base_platform, mechanism_with_parameters(self.nominal, found.parameters)
-        A = strut_length_jacobian(T, geometry)
+        A = strut_or_axis_jacobian_by_pose(T, geometry)
         left = (
             self.lengths
             - mechanisms.kinematics_of(geometry).inverse(T, geometry)
@@ -226,7 +229,7 @@ class Loops:
 
     def jacobian(self, found: Fit) -> Floats:
         """(n, axes, 6) the struts' Jacobian at the measured poses, of the geometry fitted."""
-        return strut_length_jacobian(
+        return strut_or_axis_jacobian_by_pose(
             self.samples.T_base_platform, mechanism_with_parameters(self.nominal, found.parameters)
         )
 
@@ -236,7 +239,7 @@ def inverse_strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Pa
 
     Change of the pose's tangent with strut lengths.
     """
-    A = strut_length_jacobian(T_base_platform, mechanism)
+    A = strut_or_axis_jacobian_by_pose(T_base_platform, mechanism)
     return cast(Floats, np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A))
 
 
@@ -275,7 +278,7 @@ def _scatter(left: Floats, S: Floats, inliers: Booleans, spent: int) -> Floats:
     )
 
 
-def refuse_redundancy_without_followers(mechanism: Parallel) -> None:
+def require_followers_of_redundant_platform(mechanism: Parallel) -> None:
     """Raise RigError for a platform of more than six struts all of which are driven: poses say too little of it."""
     if is_redundant(mechanism) and not mechanism.followers:
         raise RigError(

@@ -73,9 +73,9 @@ def draw_blind_case(campaign_folder: Path, index: int, settings: Json) -> None:
 
 def _drawn_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
     """(what writes the truth of a hexapod's case, its effects' strengths), its recording written."""
-    from calib.diagnosis.effect_signal_to_noise_and_separation import platform_effect_signal_to_noise
+    from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import platform_effect_signal_to_noise
     from rig.recording import recording_folder
-    from synthetic import blind_cases as blind
+    from synthetic import random_blind_platform_cases_with_truth as blind
 
     case = blind.draw_case(
         settings["seed"],
@@ -97,8 +97,8 @@ def _drawn_case(index: int, settings: Json, folder: Path) -> tuple[Callable[...,
 
 def _drawn_arm_case(index: int, settings: Json, folder: Path) -> tuple[Callable[..., None], Floats]:
     """The same of an arm's case."""
-    from calib.diagnosis.effect_signal_to_noise_and_separation import arm_effect_signal_to_noise
-    from synthetic import blind_arm_cases as blind_arm
+    from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import arm_effect_signal_to_noise
+    from synthetic import random_blind_arm_cases_with_truth as blind_arm
 
     case = blind_arm.draw_arm_case(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
     blind_arm.write_recording(case, folder)

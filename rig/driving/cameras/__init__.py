@@ -2,7 +2,7 @@
 exposed.
 """
 
-from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, Frame, Source
-from rig.driving.cameras.camera_opening import KINDS, open_camera
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import CameraError, Frame, Source
+from rig.driving.cameras.camera_opening_with_folder_and_emulator_sources import KINDS, open_camera
 
 __all__ = ["KINDS", "CameraError", "Frame", "Source", "open_camera"]

@@ -13,8 +13,15 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Integers
-from rig.driving.cameras.camera_interface_and_user_cameras import CameraError, ClockOffset, Frame
-from rig.driving.cameras.genicam_discovery import HARVESTER, Acquirer, Buffer, ImageComponent, Number, error_text
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import CameraError, ClockOffset, Frame
+from rig.driving.cameras.genicam_harvester_interface_and_camera_discovery import (
+    HARVESTER,
+    Acquirer,
+    Buffer,
+    ImageComponent,
+    Number,
+    error_text,
+)
 from rig.driving.clock import Clock
 from rig.model.design import AS_IT_IS, CaptureSettings
 

@@ -2,7 +2,7 @@
 in the field.
 """
 
-from rig.driving.emulators.controller_emulator_opening_and_ports import emulator_of_design
-from rig.driving.emulators.emulator_base_classes import TrueCommandsLog
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import TrueCommandsLog
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import emulator_of_design
 
 __all__ = ["TrueCommandsLog", "emulator_of_design"]

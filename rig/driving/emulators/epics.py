@@ -1,6 +1,6 @@
 """Emulated EPICS motor records.
 
-They stand behind the lines of rig.driving.ports_and_numbered_frames, sound or with faults.
+They stand behind the lines of rig.driving.serial_and_epics_ports_and_checksummed_frames, sound or with faults.
 """
 
 from urllib.parse import quote
@@ -9,10 +9,10 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import MOTOR, EmulatedMachine, Faults
-from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
-from rig.driving.emulators.emulator_base_classes import Emulator
-from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import MOTOR, EmulatedMachine, Faults
+from rig.driving.emulators.emulated_hexapod_controller_pose_geometry import EmulatedPlatform
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_frame, last_valid_frame_in_line
 from rig.errors import NotConverged
 
 MM = 1e3

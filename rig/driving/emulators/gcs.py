@@ -16,9 +16,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
-from rig.driving.emulators.emulator_base_classes import Emulator
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulated_hexapod_controller_pose_geometry import EmulatedPlatform
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.driving.protocols.gcs import HEXAPOD_UNITS, PIVOT
 from rig.driving.protocols.poses_of_hexapod_controllers import AXES
 from rig.errors import NotConverged

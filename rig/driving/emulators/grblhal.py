@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.emulators.emulator_base_classes import Emulator
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 
 INCH = 25.4
 BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
@@ -43,7 +43,7 @@ class GrblHAL(Emulator):
         super().__init__(machine, faults, clock, limits)
         self.axes = axes
         n = len(axes)
-        counts = self._counts = counts_per_unit(units or ["m"] * n)  # mm or degrees per m or rad
+        counts = self._counts = controller_counts_per_metre_or_radian(units or ["m"] * n)  # mm or degrees per m or rad
         self.settings = {
             0: 5.0,
             1: 25,

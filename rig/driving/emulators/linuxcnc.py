@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.emulators.emulator_base_classes import Emulator
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 
@@ -38,7 +38,7 @@ class LinuxCNC(Emulator):
         units: Sequence[str] = (),
     ) -> None:
         super().__init__(machine, faults, clock, limits)
-        self._counts = counts_per_unit(units or ["m"] * len(axes))  # mm or degrees per m or rad
+        self._counts = controller_counts_per_metre_or_radian(units or ["m"] * len(axes))  # mm or degrees per m or rad
         self.axes, self.hexapod = axes, hexapod
         self.greet()
 

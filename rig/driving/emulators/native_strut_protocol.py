@@ -9,10 +9,10 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.emulators.emulator_base_classes import Emulator
-from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.driving.protocols.native_strut_protocol import NM, VERSION
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_frame, last_valid_frame_in_line
 
 
 class Struts(Emulator):

@@ -1,4 +1,5 @@
-"""Emulated Newport HXP controller: poses by a geometry of its own, calls as the lines of rig.driving.newport_port.
+"""Emulated Newport HXP controller: poses by a geometry of its own, calls as the lines of
+rig.driving.newport_function_call_tcp_port.
 
 A move and a homing are answered at their end, and a move that was stopped by an error.
 """
@@ -11,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import MOTOR, EmulatedMachine, Faults
-from rig.driving.emulators.emulated_platform_poses import EmulatedPlatform
-from rig.driving.emulators.emulator_base_classes import LineEmulator
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import MOTOR, EmulatedMachine, Faults
+from rig.driving.emulators.emulated_hexapod_controller_pose_geometry import EmulatedPlatform
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import LineEmulator
 from rig.driving.protocols.newport_hxp import HXP
 from rig.driving.protocols.poses_of_hexapod_controllers import MM
 from rig.errors import NotConverged

@@ -12,10 +12,10 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
-from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults
-from rig.driving.emulators.emulator_base_classes import LineEmulator
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
+from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import LineEmulator
 from rig.driving.protocols.urscript import NORMAL, PLAYING, PROTECTIVE_STOP, RUNNING, STOPPED, URScript
-from rig.driving.universal_robots_port import MOST_OF_SOCKET, SCHEME, packet, state_text
+from rig.driving.universal_robots_real_time_interface_port import MOST_OF_SOCKET, SCHEME, packet, robot_state_line
 from rig.errors import RigError
 
 PERIOD = 0.008  # s between packets
@@ -56,7 +56,7 @@ class UniversalRobot(LineEmulator):
         number = found[1] or "0"
         yes, no = f"{number} sent", f"{number} no"
         if found[2] == "state":
-            return f"{number} {state_text(self.now - self._started, self.modes, self.positions.tolist())}"
+            return f"{number} {robot_state_line(self.now - self._started, self.modes, self.positions.tolist())}"
         if found[2].startswith("stopj"):
             return self.stop(yes)
         if found[6]:
@@ -69,7 +69,8 @@ class UniversalRobot(LineEmulator):
 
 
 class RealTimeServer:
-    """TCP side of the real-time interface; see rig.driving.emulators.controller_emulator_opening_and_ports.Wire.
+    """TCP side of the real-time interface; see
+    rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp.Wire.
 
     address : (host, port), port 0 for any that is free. Raises RigError where it cannot listen
     """

@@ -1,4 +1,5 @@
-"""EPICS motor records by Channel Access (rig.driving.ports_and_numbered_frames): one for each strut, or for each of a
+"""EPICS motor records by Channel Access (rig.driving.serial_and_epics_ports_and_checksummed_frames): one for each
+strut, or for each of a
 hexapod's X, Y, Z, U, V, W.
 
 A move sets VELO and ACCL so that all motors start and arrive together, then VAL. What the records read back says
@@ -11,10 +12,9 @@ from urllib.parse import unquote
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.controller_address_and_urgent_stop import epics_motor_record_stop_bytes
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.ports_and_numbered_frames import encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import NUMBERS
 from rig.driving.protocols.poses_of_hexapod_controllers import PosesForLengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
@@ -26,10 +26,11 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Segment,
     State,
     Verdict,
-    await_homed,
-    await_stopped,
+    dialogue_awaiting_homed,
+    dialogue_awaiting_rest_after_stop,
     pause_dialogue,
 )
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_frame, last_valid_frame_in_line
 from rig.errors import ControllerFault, NoAnswer
 from rig.model.design import Controller
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -48,7 +49,7 @@ BITS = {  # of MSTA, that keep a motor from moving
     12: "does not answer its controller",
     13: "at its lower limit switch",
 }
-MM_AND_DEGREES = counts_per_unit(["m"] * 3 + ["rad"] * 3)
+MM_AND_DEGREES = controller_counts_per_metre_or_radian(["m"] * 3 + ["rad"] * 3)
 STILL = 1e-7  # m, rad: a coordinate that changes by less is written, at the speed that its record has
 HOMED = 14  # bit of MSTA
 SEVERITIES = ("no", "minor", "major", "invalid")
@@ -133,14 +134,14 @@ class Epics:
             if not before or (yield from self._state()).fault != before:
                 break
             yield from pause_dialogue()
-        return (yield from await_homed(begun, self.state, timeout))
+        return (yield from dialogue_awaiting_homed(begun, self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
         everyone = np.ones(len(self.motors), bool)
         sent = yield from self._put("STOP", 1.0 * everyone, everyone, tries=4, read_back=False)
         if sent.accepted is False:  # of some motors, while the others were stopped
             return Verdict(None, f"STOP: {sent.reason}")
-        return (yield from await_stopped(self.state, "STOP"))
+        return (yield from dialogue_awaiting_rest_after_stop(self.state, "STOP"))
 
     def unlock(self) -> Dialogue[Verdict]:
         everyone = np.ones(len(self.motors), bool)

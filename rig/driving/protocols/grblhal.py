@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
@@ -111,7 +111,9 @@ class GrblHAL:
 
     def __init__(self, axes: Sequence[str], units: Sequence[str] = ()) -> None:
         self.axes = tuple(axes)
-        self._counts = counts_per_unit(units or ["m"] * len(self.axes))  # of the controller per m or rad
+        self._counts = controller_counts_per_metre_or_radian(
+            units or ["m"] * len(self.axes)
+        )  # of the controller per m or rad
         self._settings: dict[int, float] = {}
         self._letters = "XYZABCUVW"[: len(self.axes)]
         self._buffer = BUFFER

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.controller_address_and_urgent_stop import CLIENT, STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
@@ -181,7 +181,7 @@ class LinuxCNC:
     @property
     def _counts(self) -> Floats:
         """(n,) how much the controller counts per m or rad of each axis."""
-        return counts_per_unit(self._units, self._unit)
+        return controller_counts_per_metre_or_radian(self._units, self._unit)
 
     def _greet(self) -> Dialogue[str]:
         """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with

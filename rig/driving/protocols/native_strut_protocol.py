@@ -9,7 +9,6 @@ import numpy as np
 
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.ports_and_numbered_frames import Frame, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     TRIES,
     Dialogue,
@@ -18,9 +17,10 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Segment,
     State,
     Verdict,
-    await_homed,
-    await_stopped,
+    dialogue_awaiting_homed,
+    dialogue_awaiting_rest_after_stop,
 )
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import Frame, encode_frame, last_valid_frame_in_line
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9
@@ -96,11 +96,11 @@ class Struts:
         return (yield from self._command(text))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
-        return (yield from await_homed((yield from self._command("HOME")), self.state, timeout))
+        return (yield from dialogue_awaiting_homed((yield from self._command("HOME")), self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
         yield from self._query("STOP")
-        return (yield from await_stopped(self.state, "STOP"))
+        return (yield from dialogue_awaiting_rest_after_stop(self.state, "STOP"))
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self._command("UNLOCK"))

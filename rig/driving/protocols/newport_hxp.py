@@ -1,7 +1,8 @@
 """Newport HXP protocol: a hexapod's own controller that takes poses, X Y Z in mm and U V W in degrees.
 
 Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers); they are those of its Tool coordinate
-system in its Work coordinate system. Calls and answers are lines of rig.driving.newport_port. A move and a homing are
+system in its Work coordinate system. Calls and answers are lines of rig.driving.newport_function_call_tcp_port. A
+move and a homing are
 answered at their end; the group's state says meanwhile that they have begun.
 U V W are taken as Bryant angles, about axes that move along, R = Rx(U) Ry(V) Rz(W). That is not verified: neither read
 in a manual nor seen at a controller; [controller] angles states the other order.
@@ -28,7 +29,7 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Segment,
     State,
     Verdict,
-    await_homed,
+    dialogue_awaiting_homed,
     pause_dialogue,
 )
 from rig.errors import ControllerFault
@@ -132,7 +133,7 @@ class HXP(LineProtocol):
                 verdict = yield from self._refusal("GroupInitialize", self._outcome)
         if verdict.accepted:
             verdict = yield from self._begin(f"GroupHomeSearch({GROUP})")
-        return verdict if not verdict.accepted else (yield from await_homed(verdict, self.state, timeout))
+        return verdict if not verdict.accepted else (yield from dialogue_awaiting_homed(verdict, self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
         yield from self.command(self.stop_line)

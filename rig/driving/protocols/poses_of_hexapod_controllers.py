@@ -18,19 +18,19 @@ from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose
-from rig.model.protocol_and_port_names import ANGLES
+from rig.model.protocol_port_and_user_program_name_checks import ANGLES
 
 AXES = ("X", "Y", "Z", "U", "V", "W")
 NONE = pose([0, 0, 0], [0, 0, 0])
 MM = 1e3  # per m
 
 
-def controller_values_of_pose(T: RigidTransform, angles: str = "moving") -> Floats:
+def xyz_mm_uvw_degrees_of_poses(T: RigidTransform, angles: str = "moving") -> Floats:
     """X, Y, Z in mm and U, V, W in degrees (..., 6) of poses (...). angles : of ANGLES"""
     return np.concatenate([MM * T.translation, T.rotation.as_euler(ANGLES[angles], degrees=True)], axis=-1)
 
 
-def pose_of_controller_values(values: ArrayLike, angles: str = "moving") -> RigidTransform:
+def poses_of_xyz_mm_uvw_degrees(values: ArrayLike, angles: str = "moving") -> RigidTransform:
     """Poses (...) of (..., 6) X, Y, Z in mm and U, V, W in degrees. angles : of ANGLES"""
     values = np.asarray(values, float)
     return RigidTransform.from_components(
@@ -91,9 +91,9 @@ class PosesForLengths:
 
     def values(self, positions: Floats) -> Floats:
         """X .. W (..., 6), mm and degrees, that are commanded for positions (..., 6) m of the struts."""
-        return controller_values_of_pose(self.frames.command_of_pose(self.platform(positions)), self.angles)
+        return xyz_mm_uvw_degrees_of_poses(self.frames.command_of_pose(self.platform(positions)), self.angles)
 
     def positions(self, values: ArrayLike) -> Floats:
         """(..., 6) m, positions of the struts for which X .. W (..., 6), mm and degrees, stand."""
-        T = self.frames.pose_of_command(pose_of_controller_values(values, self.angles))
+        T = self.frames.pose_of_command(poses_of_xyz_mm_uvw_degrees(values, self.angles))
         return mechanisms.hexapod.inverse(T, self.hexapod) - self.zero

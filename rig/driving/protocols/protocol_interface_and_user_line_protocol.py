@@ -134,7 +134,7 @@ def pause_dialogue(seconds: float = POLL) -> Dialogue[None]:
     yield Exchange(b"", is_never_complete, seconds)
 
 
-def await_homed(
+def dialogue_awaiting_homed(
     home_command_verdict: Verdict, query_state: Callable[[], Dialogue[State]], timeout: float
 ) -> Dialogue[Verdict]:
     """Dialogue that waits until a controller is homed or refuses.
@@ -154,7 +154,7 @@ def await_homed(
     return Verdict(None, f"not home after {timeout:g} s")
 
 
-def await_stopped(query_state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
+def dialogue_awaiting_rest_after_stop(query_state: Callable[[], Dialogue[State]], command: str) -> Dialogue[Verdict]:
     """Dialogue that waits until a controller rests after a stop command.
 
     A controller that reports states; REST s at the most.
@@ -276,13 +276,13 @@ class LineProtocol:
         return (yield from self.command(self.move_line(segment)))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
-        return (yield from await_homed((yield from self.command(self.home_line)), self.state, timeout))
+        return (yield from dialogue_awaiting_homed((yield from self.command(self.home_line)), self.state, timeout))
 
     def stop(self) -> Dialogue[Verdict]:
         for _ in range(TRIES):  # a stop may be repeated
             if (yield from self.command(self.stop_line)).accepted is not None:
                 break
-        return (yield from await_stopped(self.state, repr(self.stop_line)))
+        return (yield from dialogue_awaiting_rest_after_stop(self.state, repr(self.stop_line)))
 
     def unlock(self) -> Dialogue[Verdict]:
         return (yield from self.command(self.unlock_line))

@@ -24,12 +24,17 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     user_protocol_state_problem,
 )
 from rig.driving.protocols.urscript import URScript
-from rig.driving.user_classes_and_sensor_reader import guard_call, load_user_class, missing_member, user_class_error
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
+    first_missing_member_of_user_class,
+    load_user_class,
+    user_class_error,
+    wrap_user_call_to_locate_errors,
+)
 from rig.errors import ControllerFault, FileError
-from rig.formats.user_python_file import literal_in_class_body, read_user_text
+from rig.formats.user_python_file_reading_and_running import literal_in_class_body, read_user_text
 from rig.model.design import Controller
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_units, require_hexapod
-from rig.model.protocol_and_port_names import is_user_file_or_package
+from rig.model.protocol_port_and_user_program_name_checks import is_user_file_or_package
 
 P = ParamSpec("P")
 GROUP = "rig.protocols"  # of entry points
@@ -111,8 +116,8 @@ def _check(kind: type[LineProtocol], path: str) -> None:
             'lacks urgent_stop, bytes as a literal (urgent_stop = b"!"), sent before all else',
             "urgent_stop",
         )
-    move = "move_line" if missing_member(kind, LineProtocol, ("move",)) else "move"
-    missing = missing_member(kind, LineProtocol, ("identity", "state", move))
+    move = "move_line" if first_missing_member_of_user_class(kind, LineProtocol, ("move",)) else "move"
+    missing = first_missing_member_of_user_class(kind, LineProtocol, ("identity", "state", move))
     if missing:
         raise user_class_error(path, kind, f"lacks {missing}: {(getattr(LineProtocol, missing).__doc__ or '').strip()}")
     for name in (*RESULTS, "confirm", "limits"):
@@ -126,7 +131,7 @@ def _guard(kind: type[LineProtocol], path: str) -> None:
     for name in (*RESULTS, *PLAIN):
         call = vars(kind).get(name)
         if call is not None:
-            guarded = guard_call(call, path, ControllerFault, kind.__name__)
+            guarded = wrap_user_call_to_locate_errors(call, path, ControllerFault, kind.__name__)
             expected = RESULTS.get(name)
             setattr(kind, name, guarded if expected is None else _checked(guarded, path, kind.__name__, expected))
     kind._guarded = True

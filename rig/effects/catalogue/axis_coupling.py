@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Integers
 from rig.effects.framework.effect import Candidate
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import CURVATURE, ScaleWithCurvature
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     Context,
@@ -20,7 +21,6 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     draw_scalar_parameter,
     travel_covariate,
 )
-from rig.effects.framework.shared_effect_laws import CURVATURE, ScaleWithCurvature
 
 
 @dataclass(frozen=True, slots=True)

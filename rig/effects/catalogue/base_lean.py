@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import independent_load_column_indices
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter
-from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
 from rig.model.mechanisms.arm import link_weight_base_moments
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
@@ -116,7 +116,7 @@ def lean_under_link_weight(motion: Motion) -> BaseLean | None:
     if not has_links(motion.mechanism):
         raise RigError("base_lean is fitted for arms")
     table = _link_base_moments(motion)
-    retained = independent_load_columns((table - table.mean(axis=0)).reshape(-1, table.shape[2]))
+    retained = independent_load_column_indices((table - table.mean(axis=0)).reshape(-1, table.shape[2]))
     varies = motion.no_loads() is None and np.ptp(motion.payload()) > 0
     if not len(retained) and not varies:
         return None

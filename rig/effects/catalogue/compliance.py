@@ -8,6 +8,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import independent_load_column_indices
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
@@ -21,7 +22,6 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     load_covariate,
     log_uniform,
 )
-from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
@@ -132,7 +132,7 @@ class Compliance(Effect):
         joint, found = motion.places.index(place), list[Candidate]()
         table, fewest = motion.links()[:, joint], LINK * _links_about_parallel_axes(joint, motion)
         for count in range(fewest, table.shape[1] + 1, LINK):  # a wrist's own weight often turns nothing to speak of
-            retained = independent_load_columns(table[:, :count])
+            retained = independent_load_column_indices(table[:, :count])
             if len(retained) > (len(found[-1].linear) if found else 0):
                 linear = [Linear("moments", int(i), 1e-5) for i in retained]
                 found.append(Candidate(cls, place, [{COUNT: count}], linear, f"moments of {count // LINK} links"))

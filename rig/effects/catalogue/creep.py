@@ -7,9 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.array_and_json_types import Floats
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
+    WeightedSum,
+    lagged_lengths,
+    member_weights_parameter,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
-from rig.effects.framework.shared_effect_laws import WeightedSum, lagged_lengths, member_weights_parameter
 
 SPREAD = 5.0  # times as long as the one before, each further time constant
 

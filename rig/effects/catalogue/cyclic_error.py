@@ -18,7 +18,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Covariate,
     Node,
     Parameter,
-    quadrature_columns,
+    sine_and_cosine_columns_of_travel,
 )
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 
@@ -81,7 +81,9 @@ class CyclicError(Effect):
     def columns_of_nodes(cls, candidate: Candidate, nodes: Sequence[Node], motion: Motion) -> Floats:
         effects, one = [cls(candidate.place, **node) for node in nodes], cls(candidate.place)
         own = one.axes(motion.places) > 0
-        return quadrature_columns(one.angle(motion), own, [e.order for e in effects], [e.phase for e in effects])
+        return sine_and_cosine_columns_of_travel(
+            one.angle(motion), own, [e.order for e in effects], [e.phase for e in effects]
+        )
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, Place
-from rig.model.design import Camera, move_edges_inward
+from rig.model.design import Camera, corners_of_squares_with_edges_moved_inward
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,4 +31,4 @@ class EdgeBias(Effect):
     def print_(self, camera: Camera, quads: Floats) -> Floats:
         if self.bias == 0 or not self.at(Place("camera", camera.name)):
             return quads
-        return move_edges_inward(quads, self.bias)
+        return corners_of_squares_with_edges_moved_inward(quads, self.bias)

@@ -116,7 +116,7 @@ def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
     for plugin in plugins:
         for kind in plugin.kinds:
             if kind.name in out:
-                from rig.formats.user_python_file import line_of_class
+                from rig.formats.user_python_file_reading_and_running import line_of_class
 
                 raise FileError(
                     plugin.path,

@@ -19,7 +19,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Node,
     Parameter,
     draw_scalar_parameter,
-    quadrature_columns,
+    sine_and_cosine_columns_of_travel,
 )
 
 FINE = 0.3  # step of the periods, of what an axis' travel resolves
@@ -68,7 +68,7 @@ class EncoderInterpolation(Effect):
     @classmethod
     def columns_of_nodes(cls, candidate: Candidate, nodes: Sequence[Node], motion: Motion) -> Floats:
         effects, own = [cls(candidate.place, **node) for node in nodes], cls(candidate.place).axes(motion.places) > 0
-        return quadrature_columns(
+        return sine_and_cosine_columns_of_travel(
             motion.stroke, own, [2 * np.pi * e.periods for e in effects], [e.phase for e in effects]
         )
 

@@ -9,6 +9,10 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
+    WeightedSum,
+    member_weights_parameter,
+)
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     Covariate,
@@ -17,7 +21,6 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     log_uniform,
     travel_covariate,
 )
-from rig.effects.framework.shared_effect_laws import WeightedSum, member_weights_parameter
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 PLAYS = 8  # operators that stand for the continuum

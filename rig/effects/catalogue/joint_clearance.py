@@ -11,9 +11,9 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.compliance import places_loaded_by_links_only
 from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import independent_load_column_indices
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter, load_covariate
-from rig.effects.framework.shared_effect_laws import independent_load_columns
 from rig.errors import RigError
 
 NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side
@@ -75,6 +75,8 @@ class JointClearance(Effect):
             return [Candidate(cls, place, [{}], cls.linear(place))]
         table = motion.links()[:, motion.places.index(place)]
         turning = [
-            i for i in independent_load_columns(table) if min((table[:, i] > 0).sum(), (table[:, i] < 0).sum()) >= SIDES
+            i
+            for i in independent_load_column_indices(table)
+            if min((table[:, i] > 0).sum(), (table[:, i] < 0).sum()) >= SIDES
         ]
         return [Candidate(cls, place, [{"moment": float(i)} for i in turning], cls.linear(place))] if turning else []

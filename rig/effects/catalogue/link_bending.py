@@ -10,7 +10,7 @@ from rig.effects.framework.effect import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter
 from rig.errors import RigError
-from rig.model.arm_hands_effect_places_and_tolerances import carried_joints
+from rig.model.arm_hands_effect_places_and_tolerances import joint_carries_joint_matrix
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.arm import forward, joint_frames
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import weight_wrench
@@ -152,7 +152,7 @@ def _hand_loads(motion: Motion, joint: int) -> list[tuple[Floats, Floats, Floats
     if not arm.hands:
         loads = [(motion.posed(), motion.platform_wrench())]
     else:
-        carried, gravity, loads = carried_joints(arm.parents)[joint], motion.gravity_in_base(), []
+        carried, gravity, loads = joint_carries_joint_matrix(arm.parents)[joint], motion.gravity_in_base(), []
         for number, hand in enumerate(arm.hands):
             if carried[hand.joint]:
                 T = forward(motion.lengths, arm.of_hand(number))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import CURVATURE, ScaleWithCurvature
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     ControllerTerm,
@@ -10,7 +11,6 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Parameter,
     travel_covariate,
 )
-from rig.effects.framework.shared_effect_laws import CURVATURE, ScaleWithCurvature
 
 
 @dataclass(frozen=True, slots=True)

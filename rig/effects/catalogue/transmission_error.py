@@ -133,14 +133,14 @@ def cubic_spline_values(q: Floats, span: tuple[float, ...] | Floats, values: Flo
     u = (np.clip(q, low, high) - low) * (last / (high - low))
     i = np.minimum(u.astype(int), last - 1)
     after = (u - i).reshape(-1, *(1,) * (values.ndim - 1))
-    before, bends = 1 - after, natural_spline_curvatures(len(values)) @ values
+    before, bends = 1 - after, natural_spline_curvature_matrix(len(values)) @ values
     straight = before * values[i] + after * values[i + 1]
     curved: Floats = straight + ((before**3 - before) * bends[i] + (after**3 - after) * bends[i + 1]) / 6
     return curved
 
 
 @cache
-def natural_spline_curvatures(knots: int) -> Floats:
+def natural_spline_curvature_matrix(knots: int) -> Floats:
     """Matrix (knots, knots) that makes second derivatives, at the knots of a natural cubic spline one apart, of its
     values there.
     """

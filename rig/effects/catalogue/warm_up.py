@@ -9,9 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
+    WeightedSum,
+    member_weights_parameter,
+)
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Covariate, Parameter, time_covariate
-from rig.effects.framework.shared_effect_laws import WeightedSum, member_weights_parameter
 
 SPREAD = 3.0  # times as long as the first, the second time constant
 

@@ -164,7 +164,7 @@ EARLY, LATE = 0.1, 0.9  # shares of the exposures between which moments are draw
 class Drawing:
     """design : Design; t : (n,) s, the exposures; motion : Motion of its commands, everything logged that can be
     displaced : (how a camera is to be looked through : Effect -> px RMS by which corners all over its image move), see
-        synthetic.blind_cases
+        synthetic.random_blind_platform_cases_with_truth
     """
 
     design: Design
@@ -319,7 +319,7 @@ def parameter_values(
     return {**values, **{name: tuple(v.tolist()) for name, v in vectors.items()}}
 
 
-def quadrature_columns(
+def sine_and_cosine_columns_of_travel(
     travel: Floats, affected_axes: Booleans, rates: Sequence[float], phases: Sequence[float]
 ) -> Floats:
     """Quadrature columns (k, n, axes, 2): sine and cosine of rate * travel + phase.

@@ -13,7 +13,10 @@ import numpy as np
 
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE, Quantity, quantity_by_name
-from rig.effects.texts.effect_texts_and_user_effect_files import effect_name_problem, effects_of_source
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
+    effect_classes_of_source_text,
+    effect_name_problem,
+)
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import Entries
@@ -144,7 +147,7 @@ class Written:
 
     def kind(self, name: str) -> type[Effect]:
         """The class of the effect, as its file makes it."""
-        return effects_of_source(self.source(name), Path(f"{name}.py"))[0]
+        return effect_classes_of_source_text(self.source(name), Path(f"{name}.py"))[0]
 
     def source(self, name: str) -> str:
         """The file of an effect of a name."""
@@ -360,5 +363,5 @@ def new_effect_from_suggestion_or_example(
         ("strut 1", EXAMPLE) if diagnosis_folder is None else load_suggested_formula(diagnosis_folder, place)
     )
     source = formula.source(name)
-    (kind,) = effects_of_source(source, path)
+    (kind,) = effect_classes_of_source_text(source, path)
     return NewEffect(name, found, kind.places, formula, source)

@@ -23,7 +23,7 @@ from rig.formats.importers.foreign_table_columns import (
     LIMB,
     TIME,
     Cells,
-    axis_header_names,
+    accepted_header_names_of_axes,
     column_headers_for_import_recipe,
     find_columns,
 )
@@ -158,7 +158,7 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     if not axes:
         raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
     cells = read_foreign_table_header_and_cells(table, "commands")
-    names = axis_header_names(axes)
+    names = accepted_header_names_of_axes(axes)
     if design.instrument is not None and design.instrument.kind == "direction" and len(axes) == len(DIRECTION):
         names = {axis: (*names[axis], *words) for axis, words in zip(axes, DIRECTION.values())}
     units = dict(zip(axes, mechanisms.axis_units(design.mechanism)))

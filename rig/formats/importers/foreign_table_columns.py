@@ -160,7 +160,7 @@ def _normalised_header(header: str) -> str:
     return re.sub(r"[\W_]+", "", "".join(one for one in plain if not unicodedata.combining(one)))
 
 
-def axis_header_names(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def accepted_header_names_of_axes(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Accepted header names of axes.
 
     Returns {axis: names} of the axes l1.. or q1.., and of others their own names

@@ -31,7 +31,7 @@ from rig.model.design import Design
 from rig.model.mechanisms import kinematics_of
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_axes
 from rig.model.pose import poses_pointing_along
-from rig.recording.recording_tables import DISTANCE, directions_of_angles
+from rig.recording.corner_and_pose_csv_tables import DISTANCE, directions_of_angles
 
 Headers = dict[str, tuple[str, ...]]
 POSITION: Headers = {

@@ -24,14 +24,14 @@ from rig.formats.importers.command_and_sensor_tables import (
     read_sensors,
 )
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.frame_times import (
+from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
+from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import (
     LISTED,
     Like,
     exposures_timed_by_names_table_or_commands,
-    require_one_clock,
+    require_exposures_and_commands_on_one_clock,
     seconds_since_origin,
 )
-from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
 from rig.formats.importers.units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -40,8 +40,8 @@ from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
 from rig.model.design import Design
+from rig.recording.corner_and_pose_csv_tables import Poses, write_instrument_poses, write_table
 from rig.recording.exposures_and_image_files import image_file_problem
-from rig.recording.recording_tables import Poses, write_instrument_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 SAME_MOMENT = 0.05  # s that a pose may be from its frame
@@ -93,9 +93,9 @@ def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
     """
     if recipe.bag is None:
         return recipe
-    from rig.formats.importers import ros_bag
+    from rig.formats.importers import ros_bag_unpacking
 
-    return ros_bag.unpack_bags(recipe, design_with_imported_cameras(recipe)[0], folder)
+    return ros_bag_unpacking.unpack_bags(recipe, design_with_imported_cameras(recipe)[0], folder)
 
 
 def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> ImportedRecording:
@@ -164,7 +164,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         rig, of_cameras = _without_rotation_sigma(recipe, rig), (*of_cameras, NO_ROTATIONS)
     commanded = _clocked(exposed, commanded)
     logged = read_sensors(recipe.sensors, _like(exposed.t), design.mechanism) if recipe.sensors else None
-    require_one_clock(exposed, commanded)
+    require_exposures_and_commands_on_one_clock(exposed, commanded)
     recipe = replace(
         recipe,
         images=exposed.images if recipe.images else None,

@@ -176,7 +176,7 @@ def encode_image_message(message: ImageMessage, compressed: bool, place: str) ->
     return ".png", content.tobytes()
 
 
-def append_stamp(topic: Topic, message: Message, received: int, file: Path) -> None:
+def append_message_time(topic: Topic, message: Message, received: int, file: Path) -> None:
     """Append a message's time in ns.
 
     Of its header, or of when it was received where headers are empty.

@@ -2,8 +2,8 @@
 made.
 """
 
-from rig.formats.output_files.atomic_files_and_locks import STANDARD_OUTPUT, write_bytes, write_text
-from rig.formats.output_files.command_outputs import CommandOutputs
+from rig.formats.output_files.atomic_file_writing_and_process_locks import STANDARD_OUTPUT, write_bytes, write_text
+from rig.formats.output_files.staged_command_outputs_with_overwrite_protection import CommandOutputs
 from rig.formats.output_files.staged_folder_and_manifest import MANIFEST, FolderManifest, require_complete_folder
 
 __all__ = [

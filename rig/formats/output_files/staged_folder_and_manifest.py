@@ -15,7 +15,13 @@ from pathlib import Path
 from rig.errors import FileError, RigError
 from rig.formats import local_and_remote_input_files
 from rig.formats.local_and_remote_input_files import require_schema
-from rig.formats.output_files.atomic_files_and_locks import HeldLock, lock_folder, path_status, sync_folder, write_text
+from rig.formats.output_files.atomic_file_writing_and_process_locks import (
+    HeldLock,
+    lock_folder,
+    path_status,
+    sync_folder,
+    write_text,
+)
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
@@ -73,7 +79,7 @@ class FolderManifest:
     def untouched(self, folder: Path, name: str, command: str) -> bool:
         """Whether a file is as a command left it."""
         entry = self.files.get(name)
-        return entry is not None and entry.command == command and file_digest(folder / name) in entry.sha256
+        return entry is not None and entry.command == command and file_sha256_or_empty(folder / name) in entry.sha256
 
     def text(self) -> str:
         """The manifest's text, a line for each file."""
@@ -145,7 +151,7 @@ def require_complete_folder(folder: Path) -> None:
         raise FileError(folder, f"is not complete: `rig {origin.command}` was ended while writing it; run that again")
 
 
-def file_digest(path: Path) -> str:
+def file_sha256_or_empty(path: Path) -> str:
     """Digest (sha256, hexadecimal) of a file, "" for one that cannot be read."""
     whole = sha256()
     try:
@@ -223,7 +229,7 @@ class StagedFolder:
                 return
             stale = self._stale(known, new)
             self._refuse(known, new, stale, inputs, force)
-            entries = {name: ManifestEntry(self.command, (file_digest(self.folder / name),)) for name in new}
+            entries = {name: ManifestEntry(self.command, (file_sha256_or_empty(self.folder / name),)) for name in new}
             retained = {
                 name: entry
                 for name, entry in known.files.items()

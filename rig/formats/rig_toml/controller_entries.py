@@ -3,8 +3,8 @@
 from dataclasses import fields
 
 from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import user_program_entry
-from rig.model import protocol_and_port_names as names
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import user_program_with_path_beside_rig_toml
+from rig.model import protocol_port_and_user_program_name_checks as names
 from rig.model.design import PROTOCOLS, Actuator, Controller
 from rig.model.mechanisms.hexapod import home_values
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -102,7 +102,7 @@ def controller_of_table(table: Entries, mechanism: Mechanism, actuator: Actuator
 def _protocol(table: Entries) -> str:
     stated = table.text("protocol")
     if names.is_user_file_or_package(stated):
-        return user_program_entry(table, "protocol", stated)
+        return user_program_with_path_beside_rig_toml(table, "protocol", stated)
     if stated not in PROTOCOLS:
         table.refuse("protocol", f"one of {', '.join(map(repr, PROTOCOLS))}, file:NAME.py or package:NAME", stated)
     return stated

@@ -14,8 +14,11 @@ from rig.errors import RigError
 from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
-from rig.formats.rig_toml import camera_instrument_and_cube_entries
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import instrument_of_table, user_program_entry
+from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+    instrument_of_table,
+    user_program_with_path_beside_rig_toml,
+)
 from rig.formats.rig_toml.controller_entries import controller_of_table, port_of_table
 from rig.formats.rig_toml.mechanism_entries import (
     bodies_by_name_in_rig_toml,
@@ -23,7 +26,7 @@ from rig.formats.rig_toml.mechanism_entries import (
     refuse_tables_unsuited_to_several_hands,
 )
 from rig.model.base_and_link_tilt_sensors import ANGLE_UNITS, BaseTilt, TiltSensor
-from rig.model.calibration_board import parse_board
+from rig.model.calibration_board_layout_and_description_parsing import parse_board
 from rig.model.design import (
     DICTIONARIES,
     FACES,
@@ -37,7 +40,7 @@ from rig.model.design import (
     Target,
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links
-from rig.model.protocol_and_port_names import is_user_file_or_package
+from rig.model.protocol_port_and_user_program_name_checks import is_user_file_or_package
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -108,12 +111,16 @@ def design_of_entries(root: Entries) -> Design:
     refuse_tables_unsuited_to_several_hands(root)
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
-        camera_instrument_and_cube_entries.cameras_of_tables(root.tables("camera")),
+        camera_instrument_experiment_and_cube_entries.cameras_of_tables(root.tables("camera")),
         _targets(root.tables("target"), bodies_by_name_in_rig_toml(mechanism)),
     )
-    targets = camera_instrument_and_cube_entries.turned_targets(root.table("turned", optional=True), targets)
-    camera_instrument_and_cube_entries.check_hand_mounted_cameras(root, cameras, targets, mechanism)
-    camera_instrument_and_cube_entries.refuse_stage_targets_of_moving_cameras(root, cameras, targets)
+    targets = camera_instrument_experiment_and_cube_entries.targets_with_quarter_turns_of_table(
+        root.table("turned", optional=True), targets
+    )
+    camera_instrument_experiment_and_cube_entries.require_supported_hand_mounted_cameras(
+        root, cameras, targets, mechanism
+    )
+    camera_instrument_experiment_and_cube_entries.refuse_stage_targets_of_moving_cameras(root, cameras, targets)
     return Design(
         name=root.text("name", default="rig"),
         gravity=gravity,
@@ -131,7 +138,7 @@ def design_of_entries(root: Entries) -> Design:
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
         tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
         tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism, gravity),
-        experiment=camera_instrument_and_cube_entries.experiment_permission(
+        experiment=camera_instrument_experiment_and_cube_entries.experiment_permission(
             root.table("experiment", optional=True), targets
         ),
     )
@@ -205,7 +212,11 @@ def _sensors(table: Entries) -> SensorPort:
             value=channels,
         )
     stated = table.text("port")
-    port = user_program_entry(table, "port", stated) if is_user_file_or_package(stated) else port_of_table(table)
+    port = (
+        user_program_with_path_beside_rig_toml(table, "port", stated)
+        if is_user_file_or_package(stated)
+        else port_of_table(table)
+    )
     return SensorPort(port, table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 

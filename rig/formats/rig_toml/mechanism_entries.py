@@ -13,7 +13,11 @@ from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
-from rig.formats.rig_toml.strut_entries import hexapod_of_table, message_of_disordered_limits, two_strut_plane_of_table
+from rig.formats.rig_toml.hexapod_and_two_strut_entries import (
+    hexapod_of_table,
+    message_of_disordered_limits,
+    two_strut_plane_of_table,
+)
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand, coupling_matrix, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
 from rig.model.mechanisms.file_mechanism import nominal_mechanism_of_kinematics_file

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError, Unreachable
-from rig.model.arm_hands_effect_places_and_tolerances import carried_joints
+from rig.model.arm_hands_effect_places_and_tolerances import joint_carries_joint_matrix
 from rig.model.mechanism_geometry_classes import Arm
 
 AXIS, UNIT = "joint", "rad"
@@ -27,7 +27,7 @@ STARTS = 40  # random configurations tried where the guess leads nowhere
 REACH = 1.0  # m; a radian counts like so much
 
 
-def link_frames(q: Floats, arm: Arm) -> Floats:
+def single_hand_arm_link_frames(q: Floats, arm: Arm) -> Floats:
     """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
 
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
@@ -45,7 +45,8 @@ def link_frames(q: Floats, arm: Arm) -> Floats:
 
 
 def _links(q: Floats, arm: Arm) -> Floats:
-    """Transforms (..., n, 4, 4) of the links at joint values q (..., n) rad or m. Raises ValueError as `link_frames`"""
+    """Transforms (..., n, 4, 4) of the links at joint values q (..., n) rad or m. Raises ValueError as
+    `single_hand_arm_link_frames`"""
     q = np.asarray(q, float)
     if q.shape[-1:] != (len(arm.joints),) or not np.isfinite(q).all():
         raise ValueError(
@@ -72,7 +73,7 @@ class JointFrames(NamedTuple):
 def joint_frames(q: Floats, arm: Arm) -> JointFrames:
     """JointFrames of an arm of one hand or several at joint values q (..., n) rad or m."""
     if not (arm.branches or arm.hands):
-        chain = link_frames(q, arm)
+        chain = single_hand_arm_link_frames(q, arm)
         return JointFrames(chain[..., :-2, :, :], chain[..., 1:-1, :, :], chain[..., -1, :, :])
     links = _links(q, arm)
     before, after = np.empty_like(links), np.empty_like(links)
@@ -211,7 +212,7 @@ def link_weight_loads(T: RigidTransform, q: Floats, arm: Arm, gravity: Floats) -
     gravity : (3,), or (m, 3) of each posture, m/s^2 in the frame of poses
     Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
     """
-    frames, n, carries = joint_frames(q, arm), len(arm.joints), carried_joints(arm.parents)
+    frames, n, carries = joint_frames(q, arm), len(arm.joints), joint_carries_joint_matrix(arm.parents)
     z, start, o = frames.before[..., :3, 2], frames.before[..., :3, 3], frames.after[..., :3, 3]
     out = np.zeros((len(z), n, n, 4))
     down = np.broadcast_to(gravity, (len(z), 3))
@@ -279,7 +280,7 @@ def link_points(q: Floats, arm: Arm) -> Floats:
     Of several hands the line goes from the base to each in turn, and back
     """
     if not arm.hands:
-        return link_frames(q, arm)[..., :3, 3]
+        return single_hand_arm_link_frames(q, arm)[..., :3, 3]
     ways = []
     for number in range(len(arm.hands)):
         seen = arm.of_hand(number)
@@ -303,7 +304,7 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
     Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
     """
-    q, left = solve_inverse(T_base_platform, arm, guess)
+    q, left = solve_arm_inverse_by_damped_least_squares(T_base_platform, arm, guess)
     failed = np.flatnonzero(np.ravel(left) > GOOD)
     if len(failed):
         lines = [f"pose {i}: the arm comes no nearer than {np.ravel(left)[i] * 1e3:.3g} mm or mrad" for i in failed]
@@ -311,7 +312,7 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
     return q
 
 
-def solve_inverse(
+def solve_arm_inverse_by_damped_least_squares(
     T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None, starts: int = STARTS, seed: int = 0
 ) -> tuple[Floats, Floats]:
     """Inverse kinematics solved by damped least squares from a guess, then random starts.

@@ -66,7 +66,7 @@ def joint_torques(
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
         axes of poses
     """
-    chain = mechanism.link_frames(q, arm)
+    chain = mechanism.single_hand_arm_link_frames(q, arm)
     speed, acceleration = np.broadcast_to(speed, np.shape(q)), np.broadcast_to(acceleration, np.shape(q))
     n = len(arm.joints)
     z, o, R = chain[..., :n, :3, 2], chain[..., : n + 1, :3, 3], chain[..., 1 : n + 1, :3, :3]
@@ -152,7 +152,9 @@ def hand_points_after_moving_each_joint(q: Floats, arm: Arm) -> list[KinematicsS
     Points at zero, then after each joint, the last first
     """
     to_global = frame_at_first_axes_crossing(arm).inv()
-    chain = (to_global * RigidTransform.from_matrix(mechanism.link_frames(np.zeros(len(q)), arm))).as_matrix()
+    chain = (
+        to_global * RigidTransform.from_matrix(mechanism.single_hand_arm_link_frames(np.zeros(len(q)), arm))
+    ).as_matrix()
     abc = three_hand_points_at_zero_joint_values(arm)
     steps = [KinematicsStep(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
     for i in range(len(q) - 1, -1, -1):
@@ -208,7 +210,9 @@ def joint_by_joint_inverse_steps(T_base_platform: RigidTransform, arm: Arm, q: F
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
     """
     frame = frame_at_first_axes_crossing(arm)
-    chain = (frame.inv() * RigidTransform.from_matrix(mechanism.link_frames(np.zeros(len(q)), arm))).as_matrix()
+    chain = (
+        frame.inv() * RigidTransform.from_matrix(mechanism.single_hand_arm_link_frames(np.zeros(len(q)), arm))
+    ).as_matrix()
     moved = (
         frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame
     )  # the hand since zero, in the global frame

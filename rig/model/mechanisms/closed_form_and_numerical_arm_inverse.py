@@ -101,7 +101,7 @@ def closed_form_of_six_joint_arm(arm: Arm) -> SixJointArm:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
     if arm.slides.any():
         raise RigError(f"the closed form is for joints that turn, and joint {np.flatnonzero(arm.slides)[0] + 1} slides")
-    chain = mechanism.link_frames(np.zeros(6), arm)
+    chain = mechanism.single_hand_arm_link_frames(np.zeros(6), arm)
     o, u = chain[:6, :3, 3], chain[:6, :3, 2]
     if np.linalg.norm(np.cross(u[0], u[1])) < EXACT:
         raise RigError("axes 1 and 2 are parallel: the closed form needs a turning base")
@@ -119,7 +119,7 @@ def frame_at_first_axes_crossing(arm: Arm) -> RigidTransform:
 
     Its z is along axis 1, y along axis 2.
     """
-    chain = mechanism.link_frames(np.zeros(len(arm.joints)), arm)
+    chain = mechanism.single_hand_arm_link_frames(np.zeros(len(arm.joints)), arm)
     o, u = chain[:2, :3, 3], chain[:2, :3, 2]
     y = u[1] - (u[1] @ u[0]) * u[0]
     if len(arm.joints) < 2 or np.linalg.norm(y) < EXACT:
@@ -157,7 +157,7 @@ def _nearest(o: Floats, u: Floats, p: Floats, v: Floats) -> Floats:
 
 def _hand(matrix: Floats, six: SixJointArm) -> Floats:
     """(..., 3, 3) m, A, B, C of the hand at poses (..., 4, 4), in the global frame."""
-    start = mechanism.link_frames(np.zeros(6), six.arm)[-1]
+    start = mechanism.single_hand_arm_link_frames(np.zeros(6), six.arm)[-1]
     F = six.frame.as_matrix()
     R = F[:3, :3].T @ matrix[..., :3, :3] @ start[:3, :3].T @ F[:3, :3]  # the hand's turn since zero
     a = (matrix[..., :3, 3] - F[:3, 3]) @ F[:3, :3]
@@ -221,7 +221,7 @@ def hand_motion_direction_counts(arm: Arm) -> DirectionCounts:
     return DirectionCounts(place, int(np.linalg.matrix_rank(J, rtol=NONE).max()) - place)
 
 
-def nearest_joint_values(
+def nearest_joint_values_remaining_error_and_settled(
     T_base_platform: RigidTransform,
     arm: Arm,
     start: Floats,
@@ -295,11 +295,11 @@ def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, start
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))
     if n < WHOLE:
         count = hand_motion_direction_counts(arm)
-        q, rest, settled = nearest_joint_values(many, arm, begin, count)
+        q, rest, settled = nearest_joint_values_remaining_error_and_settled(many, arm, begin, count)
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
         good = settled & (place <= (mechanism.GOOD if count.position == 3 else FAR)) & (turn <= FAR)
     else:
-        q, left = mechanism.solve_inverse(many, arm, begin, starts=0)
+        q, left = mechanism.solve_arm_inverse_by_damped_least_squares(many, arm, begin, starts=0)
         rest, place, turn, good = np.zeros((starts, 6)), left, left, left <= mechanism.GOOD
     q = mechanism.nearest_equivalent_angles(q, arm, np.zeros(q.shape))
     order = np.argsort(np.abs(mechanism.signed_limit_excess(q, arm)).max(axis=1) > 0, kind="stable")

@@ -15,14 +15,17 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
+from rig.model.checked_loading_of_user_kinematics_file import (
+    load_checked_kinematics_source,
+    poses_with_locked_coordinates_at_home,
+)
 from rig.model.mechanism_geometry_classes import FileMechanism
-from rig.model.mechanisms.hexapod_newton import Observe
+from rig.model.mechanisms.hexapod_newton_and_least_squares_forward_solution import Observe
 from rig.model.user_kinematics_file import (
     KinematicsFile,
     axis_change_columns_by_freedom,
     axis_change_columns_by_parameter,
 )
-from rig.model.user_kinematics_file_checks import kinematics_of_source, poses_with_locked_coordinates_at_home
 
 AXIS, UNIT = "axis", "m"
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
@@ -38,7 +41,7 @@ def nominal_mechanism_of_kinematics_file(file: str, source: str) -> FileMechanis
 
     Raises FileError for a file that cannot be used.
     """
-    return FileMechanism(file, source, kinematics_of_source(source, file).nominal)
+    return FileMechanism(file, source, load_checked_kinematics_source(source, file).nominal)
 
 
 def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
@@ -81,11 +84,13 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
     if start.ndim > 2:
         start = np.broadcast_to(start, (*values.shape[:-1], 4, 4))
     poses = np.array(np.broadcast_to(start.reshape(-1, 4, 4), (len(flat), 4, 4)))
-    poses = solve_by_newton(poses, flat, mechanism)
+    poses = solve_poses_by_newton_with_file_inverse(poses, flat, mechanism)
     return RigidTransform.from_matrix(poses.reshape(*values.shape[:-1], 4, 4))
 
 
-def solve_by_newton(start: Floats, values: Floats, mechanism: FileMechanism, observe: Observe | None = None) -> Floats:
+def solve_poses_by_newton_with_file_inverse(
+    start: Floats, values: Floats, mechanism: FileMechanism, observe: Observe | None = None
+) -> Floats:
     """Poses (n, 4, 4) of axis values (n, axes) by Newton from a start (n, 4, 4), by the file's inverse alone.
 
     observe : called with each step's (poses (n, 4, 4), change of the axes with the freedoms (n, axes, freedoms), error
@@ -184,7 +189,9 @@ def _require_solved(left: Floats, values: Floats, mechanism: FileMechanism) -> N
         )
 
 
-def nearest_reachable(T_base_platform: RigidTransform, mechanism: FileMechanism) -> RigidTransform:
+def nearest_reachable_poses_of_kinematics_file(
+    T_base_platform: RigidTransform, mechanism: FileMechanism
+) -> RigidTransform:
     """Nearest reachable poses (...) of a platform with few freedoms.
 
     The nearest that the platform can take.

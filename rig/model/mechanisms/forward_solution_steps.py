@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import FileMechanism, Hexapod
-from rig.model.mechanisms import file_mechanism, hexapod_newton
+from rig.model.mechanisms import file_mechanism, hexapod_newton_and_least_squares_forward_solution
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_redundant
 from rig.model.user_kinematics_file import FREEDOMS
 
@@ -57,13 +57,19 @@ def forward_solution_steps(
 
     try:
         if isinstance(mechanism, FileMechanism):
-            file_mechanism.solve_by_newton(mechanism.stated.home[None], values[None], mechanism, observe)
+            file_mechanism.solve_poses_by_newton_with_file_inverse(
+                mechanism.stated.home[None], values[None], mechanism, observe
+            )
         elif is_redundant(mechanism):
             lengths = values[None] + mechanism.strut_zeros
-            hexapod_newton.solve_by_least_squares(values[None], lengths, mechanism.home, mechanism, observe)
+            hexapod_newton_and_least_squares_forward_solution.poses_of_redundant_lengths_by_gauss_newton(
+                values[None], lengths, mechanism.home, mechanism, observe
+            )
         else:
             start = np.array(mechanism.home.as_matrix()[None])
-            hexapod_newton.solve_by_newton_with_pivots(start, values[None] + mechanism.strut_zeros, mechanism, observe)
+            hexapod_newton_and_least_squares_forward_solution.solve_poses_in_place_by_pivoted_newton(
+                start, values[None] + mechanism.strut_zeros, mechanism, observe
+            )
     except NotConverged:  # its steps are what is asked for; that they lead nowhere is for `forward` to say
         pass
     return mechanism, tuple(steps)

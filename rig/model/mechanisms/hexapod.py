@@ -15,12 +15,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod_kernels
-from rig.model.mechanisms.hexapod_newton import (
+from rig.model.mechanisms.hexapod_newton_and_least_squares_forward_solution import (
     MAX_TURN,
     TOLERANCE,
-    require_solved,
-    solve_by_least_squares,
-    solve_by_newton_with_pivots,
+    poses_of_redundant_lengths_by_gauss_newton,
+    require_converged_forward_solution,
+    solve_poses_in_place_by_pivoted_newton,
     strut_lengths_and_jacobian,
 )
 from rig.model.pose import exp, transform_points
@@ -40,7 +40,7 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
     matrix = np.ascontiguousarray(T_base_platform.as_matrix())
     flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, len(hexapod.axes)))
     hexapod_kernels.run_in_threads(
-        lambda part: hexapod_kernels.compute_strut_lengths(
+        lambda part: hexapod_kernels.fill_strut_lengths_of_poses(
             flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]
         ),
         len(flat),
@@ -81,7 +81,7 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
     flat = lengths.reshape(-1, count) + hexapod.strut_zeros
     if count > 6:
         return RigidTransform.from_matrix(
-            solve_by_least_squares(lengths, flat, guess, hexapod).reshape(*lengths.shape[:-1], 4, 4)
+            poses_of_redundant_lengths_by_gauss_newton(lengths, flat, guess, hexapod).reshape(*lengths.shape[:-1], 4, 4)
         )
     matrix, residual, crossed = np.empty((len(flat), 4, 4)), np.empty(len(flat)), np.empty(len(flat), bool)
     start = guess.as_matrix()
@@ -94,9 +94,9 @@ def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = No
         for at in range(0, len(failed), CHUNK):
             part = failed[at : at + CHUNK]
             moved = began[part].copy()
-            residual[part] = solve_by_newton_with_pivots(moved, flat[part], hexapod)
+            residual[part] = solve_poses_in_place_by_pivoted_newton(moved, flat[part], hexapod)
             matrix[part] = moved
-        require_solved(matrix, began, residual, lengths, hexapod, failed)
+        require_converged_forward_solution(matrix, began, residual, lengths, hexapod, failed)
     return RigidTransform(
         matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False
     )  # of unit quaternions, normal as it is
@@ -204,7 +204,9 @@ def _side_by_side(lengths: Floats, start: Floats, hexapod: Hexapod, out: tuple[F
 
     def solve(part: slice) -> None:
         begin = (q, t) if len(q) == 1 else (q[part], t[part])
-        hexapod_kernels.solve_poses_of_lengths(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
+        hexapod_kernels.fill_poses_of_strut_lengths_by_newton(
+            lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out)
+        )
 
     hexapod_kernels.run_in_threads(solve, len(lengths))
 

@@ -52,7 +52,7 @@ def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def compute_strut_lengths(matrices: Floats, base: Floats, platform: Floats, zeros: Floats, out: Floats) -> None:
+def fill_strut_lengths_of_poses(matrices: Floats, base: Floats, platform: Floats, zeros: Floats, out: Floats) -> None:
     """Compute commanded strut lengths, out (n, struts) m, of poses, matrices (n, 4, 4)."""
     for n in range(len(matrices)):
         for i in range(len(base)):
@@ -149,7 +149,7 @@ def _step(q: Floats, t: Floats, R: Floats, M: Floats, limits: tuple[float, float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve_poses_of_lengths(
+def fill_poses_of_strut_lengths_by_newton(
     wanted_lengths: Floats,
     struts: StrutGeometry,
     start: tuple[Floats, Floats],

@@ -364,7 +364,7 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
-def strut_length_jacobian(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
+def strut_or_axis_jacobian_by_pose(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
     """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad, by the poses' tangents on the right."""
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.jacobian(T_base_platform, mechanism)
@@ -378,7 +378,7 @@ def nearest_reachable_poses(T_base_platform: RigidTransform, mechanism: Mechanis
     if isinstance(mechanism, Planar2):
         return RigidTransform.from_translation(T_base_platform.translation * [1, 1, 0])
     if isinstance(mechanism, FileMechanism):
-        return file_mechanism.nearest_reachable(T_base_platform, mechanism)
+        return file_mechanism.nearest_reachable_poses_of_kinematics_file(T_base_platform, mechanism)
     return T_base_platform
 
 

@@ -133,7 +133,7 @@ def inline_html(line: str) -> str:
     return "".join(f"<code>{html.escape(part)}</code>" if k % 2 else escape_html(part) for k, part in parts)
 
 
-def capitalise(line: str) -> str:
+def capitalise_unless_name_or_sign(line: str) -> str:
     """Line with its first letter capitalised.
 
     Unless its first word is a name, a sign or already capitalised.
@@ -234,7 +234,7 @@ def _style(cell: str, text: bool, long: int) -> str:
     return f' class="{" ".join(classes)}"' if classes else ""
 
 
-def folding_section_html(summary: str, *parts: str) -> str:
+def collapsible_section_html(summary: str, *parts: str) -> str:
     """HTML of a folding section.
 
     A summary line, and parts shown when it is opened.

@@ -20,7 +20,7 @@ from rig.report.pages.html_and_svg_elements import (
     svg_text,
     svg_tooltip,
 )
-from rig.report.pages.page_templates_and_index_page import read_page_asset
+from rig.report.pages.page_templates_and_index_page import read_page_stylesheet_or_script
 
 TOP = TEXT + 11.0
 Placed = Callable[[Floats], Floats]  # (n, 2) of the plane -> (n, 2) of the figure
@@ -228,7 +228,7 @@ def view_3d_scripts_if_needed(parts: Sequence[str]) -> tuple[str, ...]:
     Else ().
     """
     return (
-        (read_page_asset("view3d.js") + read_page_asset("stage.js"),)
+        (read_page_stylesheet_or_script("view3d.js") + read_page_stylesheet_or_script("stage.js"),)
         if any('id="stage-data"' in part for part in parts)
         else ()
     )

@@ -19,7 +19,7 @@ from rig.report import verdict_refutations_and_result_display
 from rig.report.pages.html_and_svg_elements import (
     TEXT,
     WIDTH,
-    capitalise,
+    capitalise_unless_name_or_sign,
     escape_html,
     heading_html,
     inline_html,
@@ -30,7 +30,13 @@ from rig.report.pages.html_and_svg_elements import (
     svg_text,
     wrap_text,
 )
-from rig.report.pages.project_stages import STAGES, ProjectFile, date_text, list_project_files, stage_of_page_kind
+from rig.report.pages.project_stages_and_files_without_pages import (
+    STAGES,
+    ProjectFile,
+    date_text,
+    list_project_files,
+    stage_of_page_kind,
+)
 from rig.report.verdict_refutations_and_result_display import WORST, State, Verdict, worst_state
 
 # nothing is fetched from anywhere
@@ -69,14 +75,16 @@ def page_html(page: Page) -> str:
     """HTML of a Page."""
     state, why = page.verdict.state, page.verdict.why
     links = "".join(f'<a href="{html.escape(link.path)}">{escape_html(link.label)}</a>' for link in page.links)
-    steps = list_html(map(capitalise, page.next_steps), ordered=len(page.next_steps) > 1)
+    steps = list_html(map(capitalise_unless_name_or_sign, page.next_steps), ordered=len(page.next_steps) > 1)
     style, script = (
-        read_page_asset("theme.css") + read_page_asset("document.css") + read_page_asset("figure.css"),
-        read_page_asset("document.js"),
+        read_page_stylesheet_or_script("theme.css")
+        + read_page_stylesheet_or_script("document.css")
+        + read_page_stylesheet_or_script("figure.css"),
+        read_page_stylesheet_or_script("document.js"),
     )
     described = html.escape(f"{state}: {why}")
     first, *doubts = split_text_at_semicolons(why)
-    more = f'<div class="doubts">{list_html(map(capitalise, doubts))}</div>' if doubts else ""
+    more = f'<div class="doubts">{list_html(map(capitalise_unless_name_or_sign, doubts))}</div>' if doubts else ""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
         'content="width=device-width, initial-scale=1">'
@@ -84,7 +92,7 @@ def page_html(page: Page) -> str:
         f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
         f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
         f'<header class="{state}"><p class="verdict"><strong>{state}</strong> '
-        f"{inline_html(capitalise(first))}.</p>{more}<h1>{escape_html(page.title)}</h1>"
+        f"{inline_html(capitalise_unless_name_or_sign(first))}.</p>{more}<h1>{escape_html(page.title)}</h1>"
         + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
         + "</header>\n<main>\n"
         + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
@@ -95,7 +103,7 @@ def page_html(page: Page) -> str:
     )
 
 
-def read_page_asset(name: str) -> str:
+def read_page_stylesheet_or_script(name: str) -> str:
     """Read an asset of pages.
 
     The text of a stylesheet or script.
@@ -131,7 +139,7 @@ def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{across}" height="{down}" viewBox="0 0 '
         f'{across} {down}">'
         f"<title>{escape_html(title)}</title>"
-        f"<style>{read_page_asset('theme.css')}{read_page_asset('figure.css')}</style>"
+        f"<style>{read_page_stylesheet_or_script('theme.css')}{read_page_stylesheet_or_script('figure.css')}</style>"
         '<rect width="100%" height="100%" rx="8" style="fill:var(--card)"/>' + "\n".join(parts) + "</svg>\n"
     )
 
@@ -264,7 +272,7 @@ def _index_above(place: Path) -> Path | None:
     )
 
 
-def refresh_indices(written_pages: Iterable[Path]) -> None:
+def refresh_index_pages_above(written_pages: Iterable[Path]) -> None:
     """Refresh the index pages above pages that were written.
 
     One that a user changed is left.

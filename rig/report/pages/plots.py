@@ -116,7 +116,7 @@ class Series:
     half: Floats | None = None
 
 
-def panel_row_html(*figures: str) -> str:
+def figures_side_by_side_html(*figures: str) -> str:
     """HTML of figures side by side where there is room, else below each other."""
     return '<div class="panels">' + "".join(figures) + "</div>"
 

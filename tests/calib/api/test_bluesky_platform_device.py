@@ -13,12 +13,12 @@ from calib.api.bluesky_platform_device import PosePlatform, bluesky_platform
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
-from rig.driving.emulators.emulated_axes_and_faults import parse_faults
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import parse_fault_orders
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.errors import ControllerFault, MissingLibrary, MotionError, RigError, Stopped, Unreachable
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference, pose_to_vector
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig
 
@@ -29,7 +29,7 @@ WANTED = [0.003, -0.002, 0.452, 0.01, 0.0, 0.04]
 
 def calibration_of(design):
     """(Calibration, the machine that it is of) of one that is not quite as stated."""
-    fitted = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    fitted = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(4)).true.mechanism
     correction = Correction(design.mechanism, fitted, (None,) * 6)
     none = np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}
     return Calibration(correction, *none), fitted
@@ -110,7 +110,7 @@ def test_a_refused_move_leaves_the_pose_that_was_commanded_before(homed, driven_
 def test_a_move_that_is_stopped_on_its_way_was_commanded(homed, driven_design):
     driver, emulator, _ = homed
     device = platform(driver, driven_design)
-    emulator.faults.orders += parse_faults("stall")
+    emulator.faults.orders += parse_fault_orders("stall")
     with pytest.raises(MotionError):
         asyncio.run(device.move(WANTED))
     place = asyncio.run(device.locate())

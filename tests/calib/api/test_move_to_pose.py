@@ -11,7 +11,7 @@ from calib.api.correction_server_and_move_to_pose import plan_pose_move, require
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.models.machine_models import model_of
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms

@@ -21,20 +21,20 @@ import pytest
 from calib.certificate.certificate_computation_verdict_and_provenance import combined_held_out_poses
 from calib.certification.pose_error_promise_and_conformity import OPEN, pose_error_promise
 from calib.certification.uncertainty_budget import rms_position_and_rotation_uncertainty, thermometer_covariance
-from calib.correction.correction import calibrate_correction
-from calib.correction.physics_compensation import Physics
+from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model import motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_generators, plan
-from rig.recording import recording_folder, recording_tables
+from rig.recording import corner_and_pose_csv_tables, recording_folder
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import Poses
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.conftest import ROOT
 
 GAP = 40e-6
@@ -61,16 +61,16 @@ def _made(folder, secret, rig_text, design, route, seed):
     folder.mkdir()
     (folder / "rig.toml").write_text(rig_text)
     frames = np.arange(len(done.t))
-    recording_tables.write_table(
+    corner_and_pose_csv_tables.write_table(
         folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t:.4f},cam0," for k, t in zip(frames, done.t)]
     )
-    recording_tables.write_table(
+    corner_and_pose_csv_tables.write_table(
         folder / "commands.csv",
         ("t", *design.mechanism.axes),
         [",".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(done.commands.t, done.commands.values)],
     )
     seen = T * exp(OWN * rng.normal(size=(len(frames), 6)))
-    recording_tables.write_poses(
+    corner_and_pose_csv_tables.write_poses(
         folder / "poses.csv", Poses(frames, seen, np.tile(np.diag(OWN**2), (len(frames), 1, 1)))
     )
     return folder
@@ -82,7 +82,7 @@ def held(tmp_path_factory, design, rig_text):
     what is certified of it.
     """
     folder = tmp_path_factory.mktemp("certify")
-    secret = secret_machine_and_truth_file.draw_machine(
+    secret = random_true_machine_and_truth_file.random_true_machine(
         design, np.random.default_rng(5), 1.0, (parse_effect(f"backlash:strut3:gap={GAP}"),)
     )
     _made(folder / "fit", secret, rig_text, design, "sobol:40,ladder:1", 1)
@@ -282,7 +282,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
         {"ambient_temperature_C": (20.0, 0.1)},
     )
     wiser, fit = replace(known, physics=physics), recording_folder.load_recording(held.folder / "fit")
-    refined, _ = calibrate_correction(
+    refined, _ = fit_geometry_and_remainder_of_correction(
         wiser.with_physics(fit, sample_recording(fit).samples), known.correction.nominal, "none"
     )
     wiser = replace(wiser, correction=refined)

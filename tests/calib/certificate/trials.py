@@ -24,7 +24,7 @@ from calib.certification.pose_error_promise_and_conformity import (
     pose_error_promise,
     tolerance_conformity,
 )
-from calib.correction.correction import calibrate_correction
+from calib.correction.correction import fit_geometry_and_remainder_of_correction
 from calib.samples.pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
@@ -32,7 +32,7 @@ from rig.errors import NotConverged
 from rig.model import mechanisms, motion_simulation
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_generators, plan
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 
 KINDS = (
     "backlash",
@@ -96,11 +96,11 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
         ]
     )
     route = plan.plan_of_configurations(goals, strokes.mean(axis=1), plan.planned_axis_speeds(design))
-    warmth, _ = secret_machine_and_truth_file.draw_temperatures(float(route.commands.t[-1]), rng)
+    warmth, _ = random_true_machine_and_truth_file.random_true_and_logged_temperatures(float(route.commands.t[-1]), rng)
     sensors = plan.sensors_with_payload(route, warmth)
     while True:
         names = tuple(rng.choice(KINDS, rng.integers(0, 3), replace=False).tolist()) if kinds is None else kinds
-        secret = secret_machine_and_truth_file.draw_machine(design, rng)
+        secret = random_true_machine_and_truth_file.random_true_machine(design, rng)
         motion = motion_simulation.motion_of_commands(secret.true, route.commands, route.t, (), sensors)
         effects = tuple(_drawn(BY_NAME[name], design, route, motion, rng) for name in names)
         try:
@@ -111,7 +111,7 @@ def trial(design, seed, level=(0.95, 0.95), sizes=SIZES, kinds=None, noise=1.0):
         except NotConverged:
             continue
     fitted = _samples(route, goals, true, np.arange(FITTED), rng, noise)
-    correction, _ = calibrate_correction(fitted, design.mechanism, "none")
+    correction, _ = fit_geometry_and_remainder_of_correction(fitted, design.mechanism, "none")
     units = lengths(errors_before_and_after_correction(correction, fitted)[1]).mean(
         axis=0
     )  # of poses that are not held out

@@ -10,9 +10,9 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
-from calib.correction import interpolation_methods_and_interpolated_correction_summands
+from calib.correction import correction_field_methods_fitting_combination_and_json
 from calib.correction.correction import Correction
-from calib.correction.interpolation.field_interface_and_combinations import (
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
     RestrictedMap,
     SpacePart,
@@ -25,7 +25,7 @@ from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_generators import sobol_configurations
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.calib.noisy_samples import rms
 from tests.numerical_derivatives import jacobian
 
@@ -42,7 +42,7 @@ def leaning(T):
 @pytest.fixture(scope="module")
 def machine(design):
     """(Calibration by the true geometry, Samples of the leaning machine at 200 configurations)."""
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(3)).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(3)).true.mechanism
     before = Calibration(
         Correction(design.mechanism, true, (None,) * AXES),
         np.eye(42) * 1e-12,
@@ -171,7 +171,7 @@ def test_a_part_is_whole_within_fades_smoothly_and_knows_its_slope():
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.uniform(-0.2, 1.2, (300, 1)), rng.uniform(1.0, 2.2, (300, 1))], axis=1)
     field = RestrictedMap(
-        interpolation_methods_and_interpolated_correction_summands.fit_field(
+        correction_field_methods_fitting_combination_and_json.fit_field(
             "polynomial", FieldSamples(x, np.sin(x), np.full(x.shape, 1e-6), np.array([[-0.2, 1.2], [1.0, 2.2]]))
         ),
         part,
@@ -190,7 +190,7 @@ def test_a_part_that_bounds_nothing_is_refused(low, high):
 def test_an_earlier_pass_speaks_where_a_later_one_does_not_hold():
     x = np.linspace(0, 1, 21)[:, None]
     first, second = (
-        interpolation_methods_and_interpolated_correction_summands.fit_field(
+        correction_field_methods_fitting_combination_and_json.fit_field(
             "polynomial", FieldSamples(x, size * x, np.full((21, 1), size**2), np.array([[0.0, 1.0]]))
         )
         for size in (1.0, 0.1)

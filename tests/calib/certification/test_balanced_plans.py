@@ -10,7 +10,7 @@ import pytest
 from calib.certification.held_out_errors import errors_before_and_after_correction
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.pose_samples import Samples, sample_recording
-from rig.effects.texts.effect_texts_and_user_effect_files import (
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     parse_effect,
     require_existing_place,
     require_nonzero_effect,
@@ -18,7 +18,7 @@ from rig.effects.texts.effect_texts_and_user_effect_files import (
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.conftest import BENCH
 
 INSTRUMENT = '\n[instrument]\nkind = "pose"\nbase = "rig"\ntool = "rig"\nposition_sigma = 5e-6\nrotation_sigma = 2e-5\n'
@@ -31,7 +31,7 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
     (tmp_path / "rig.toml").write_text(text)
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     gaps = np.random.default_rng(seed).uniform(20e-6, 80e-6, 6)
-    secret = secret_machine_and_truth_file.draw_machine(
+    secret = random_true_machine_and_truth_file.random_true_machine(
         design,
         np.random.default_rng(100 + seed),
         1.0,

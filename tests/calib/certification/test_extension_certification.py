@@ -14,14 +14,14 @@ from calib.certification.extended_correction_certification import (
     claim_without_geometry,
 )
 from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import single_step_command_errors
+from calib.correction.correction_field_methods_fitting_combination_and_json import single_step_command_errors
 from calib.files import calibration_file
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
 from tests.calib.noisy_samples import real, rms, sampled, workspace
 
 OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
@@ -166,7 +166,7 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
     assert main(
         ["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "p.csv")]
     ) in (0, None)
-    got = recording_tables.load_poses(tmp_path / "p.csv")
+    got = corner_and_pose_csv_tables.load_poses(tmp_path / "p.csv")
     T = real(read, true, coupled)
     error, before = pose_difference(got.T_base_platform, T), pose_difference(hexapod.forward(read, design.mechanism), T)
     assert rms(error)[0] < 0.05 * rms(before)[0]

@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import block_diag, sqrtm
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence
-from calib.certification.error_claim_over_workspace import (
+from calib.certification.claimed_error_reduction_over_workspace import (
     PLACES,
     ConfigurationInformation,
     claim_from_mean_square_errors,

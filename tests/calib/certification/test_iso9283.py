@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import held_out_poses
 from calib.certification.iso230_and_iso9283_tests import Duty, iso9283_accuracy_and_repeatability
-from calib.correction.correction import calibrate_correction
+from calib.correction.correction import fit_geometry_and_remainder_of_correction
 from calib.samples.pose_samples import Samples
 from rig.model import motion_simulation
 from rig.planning import plan
@@ -26,7 +26,8 @@ def standard(design, cycles=30):
     )
     errors = 1e-6 * np.random.default_rng(0).normal(size=(n, 6))
     return held_out_poses(
-        calibrate_correction(samples, design.mechanism, "none")[0], [(samples, done.commands, errors, errors)]
+        fit_geometry_and_remainder_of_correction(samples, design.mechanism, "none")[0],
+        [(samples, done.commands, errors, errors)],
     )
 
 

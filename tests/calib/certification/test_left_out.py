@@ -21,7 +21,7 @@ from calib.certification.strut_deviation_covariance_functions import (
     SAMPLE,
     candidate_covariance_functions_of_strut_deviations,
 )
-from calib.certification.strut_deviation_sizes_and_possible_machines import (
+from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import (
     Closures,
     _sentence,
     draw_strut_deviation_component_sizes,

@@ -8,8 +8,11 @@ import re
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_identification_and_agreement, redundant_limb_checks
-from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
+from calib.certification import (
+    loop_closure_checks_of_redundant_measuring_limbs,
+    measuring_limb_calibration_agreement_with_vision_and_slips,
+)
+from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from rig.cli import command_line
 from rig.errors import RigError
@@ -20,7 +23,7 @@ from rig.model.pose import transform_points
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.closed_loops import rig
 
 EIGHT = 8
@@ -32,7 +35,7 @@ def machine(tmp_path_factory):
     folder = tmp_path_factory.mktemp("eight")
     (folder / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, EIGHT)))
     design = design_from_rig_toml.load_design(folder / "rig.toml")
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(5)).true
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(5)).true
     T = hexapod.forward(sobol_configurations(true.mechanism.strut_range, 60, 0.8), true.mechanism)
     m = true.insitu
     read = np.linalg.norm(transform_points(T, m.platform_joints) - m.base_joints, axis=-1) - m.zeros
@@ -43,32 +46,34 @@ def machine(tmp_path_factory):
 def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
-    chosen = redundant_limb_checks.best_six_limbs(design.insitu, design.mechanism.home, T)
-    six = measuring_limb_identification_and_agreement.Limbs(
-        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true, chosen),
+    chosen = loop_closure_checks_of_redundant_measuring_limbs.best_six_limbs(design.insitu, design.mechanism.home, T)
+    six = measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true, chosen),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         chosen,
     )
-    return measuring_limb_identification_and_agreement.Limbs(
+    return measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
         six.hexapod,
         six.covariance,
         six.sigma,
         chosen,
-        redundant_limb_checks.fit_redundant_limb_checks(six, design.insitu, read),
+        loop_closure_checks_of_redundant_measuring_limbs.fit_redundant_limb_checks(six, design.insitu, read),
     )
 
 
 def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs):
     design, _, read, _ = machine
-    error, sigma = redundant_limb_checks.held_out_check_errors(limbs, design.insitu, read)
+    error, sigma = loop_closure_checks_of_redundant_measuring_limbs.held_out_redundant_limb_errors_and_sigma(
+        limbs, design.insitu, read
+    )
     assert (
         error.shape == (60, EIGHT - 6) and len(set(limbs.chosen.tolist()) | set(limbs.checks.limbs.tolist())) == EIGHT
     )
     assert 0.7 < np.sqrt((error**2 / sigma**2).mean()) < 1.3 and (sigma < 2e-5).all()
-    stated = redundant_limb_checks._closures(
+    stated = loop_closure_checks_of_redundant_measuring_limbs._closures(
         limbs,
-        redundant_limb_checks.Checks(
+        loop_closure_checks_of_redundant_measuring_limbs.Checks(
             limbs.checks.limbs,
             design.insitu.base_joints[limbs.checks.limbs],
             design.insitu.platform_joints[limbs.checks.limbs],
@@ -86,27 +91,29 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
     stated = design_from_rig_toml.design_of_entries(
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)), "rig.toml")
     ).insitu
-    six = measuring_limb_identification_and_agreement.Limbs(
-        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true, np.arange(6)),
+    six = measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true, np.arange(6)),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         np.arange(6),
     )
-    error, sigma = redundant_limb_checks.held_out_check_errors(six, stated, read[:, :6])
+    error, sigma = loop_closure_checks_of_redundant_measuring_limbs.held_out_redundant_limb_errors_and_sigma(
+        six, stated, read[:, :6]
+    )
     assert error.shape == sigma.shape == (60, 0)
 
 
 @pytest.mark.parametrize("which", ["chosen", "check"])
 def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, limbs, which):
     _, _, read, _ = machine
-    assert redundant_limb_checks.first_unclosed_limb(limbs, read) is None
+    assert loop_closure_checks_of_redundant_measuring_limbs.first_unclosed_limb(limbs, read) is None
     limb = int(limbs.chosen[2] if which == "chosen" else limbs.checks.limbs[0])
     slipped = read - 3e-5 * (np.arange(60)[:, None] >= 40) * np.eye(EIGHT)[limb]
-    found = redundant_limb_checks.first_unclosed_limb(limbs, slipped)
+    found = loop_closure_checks_of_redundant_measuring_limbs.first_unclosed_limb(limbs, slipped)
     assert 40 <= found.at < 45 and found.limb in (None, limb + 1)
     assert which == "chosen" or found.limb is not None
     assert found.limb is None or abs(found.size - 3e-5) < 1e-5
-    source = LiveLimbPoses(accepted_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
+    source = LiveLimbPoses(accepted_measuring_limbs_file.Accepted(limbs, limbs.hexapod, None, None, {}), 10)
     closed = [source.is_closed(one) for one in slipped[38:44]]
     assert closed[0] is None and closed[1] is None and any(closed) and not source.in_force
 
@@ -118,8 +125,8 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths determine no",
     ):
-        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design)
-    assert not redundant_limb_checks.has_six_measuring_limbs(design)
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design)
+    assert not loop_closure_checks_of_redundant_measuring_limbs.has_six_measuring_limbs(design)
 
 
 @pytest.mark.slow
@@ -138,7 +145,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", output, re.MULTILINE)
     assert "give the pose; the others minus prediction, um:" in output and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
-    loaded = accepted_limbs_file.load_limbs(limbs)
+    loaded = accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(limbs)
     assert (
         sorted([*(loaded.limbs.chosen + 1), *(loaded.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
         and loaded.verdict == "accepted"
@@ -168,7 +175,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     output = capsys.readouterr().err
     assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in output
     assert 30 <= int(re.search(r"frame (\d+)", output)[1]) < 35 and f"limb {limb} is longer" in output
-    assert accepted_limbs_file.load_limbs(limbs).verdict == "withdrawn"
+    assert accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(limbs).verdict == "withdrawn"
     rig(
         "insitu",
         tmp_path / "rec",
@@ -180,13 +187,16 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         "--out",
         tmp_path / "first.json",
     )
-    assert (accepted_limbs_file.load_limbs(tmp_path / "first.json").limbs.chosen == np.arange(6)).all()
+    assert (
+        accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(tmp_path / "first.json").limbs.chosen
+        == np.arange(6)
+    ).all()
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
-        accepted_limbs_file.load_accepted_limbs_for_design(tmp_path / "first.json", _with_limbs(tmp_path, 6))
+        accepted_measuring_limbs_file.load_accepted_limbs_for_design(tmp_path / "first.json", _with_limbs(tmp_path, 6))
     assert measuring_limb_poses_checked_by_vision.limb_poses(
-        read, accepted_limbs_file.load_limbs(tmp_path / "first.json")
+        read, accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)
 
 

@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.strut_deviation_covariance_functions import PLACES, strut_load_signs
+from calib.certification.strut_deviation_covariance_functions import (
+    PLACES,
+    strut_load_signs_with_sign_mean_and_variance,
+)
 from calib.samples.exposure_conditions import Conditions, Weight
 from rig.errors import NotConverged
 from rig.model.mechanisms import hexapod
@@ -18,7 +21,7 @@ def test_signs_are_those_of_struts_in_balance(design):
     samples, _ = sampled(design, 3, 60)
     n, m, centre = len(samples), design.mechanism, np.array([0.0, 0.4, 0.3])  # so far out that some struts pull
     known = Conditions(np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), 5.0, centre, None))
-    found = strut_load_signs(replace(samples, conditions=known), m)
+    found = strut_load_signs_with_sign_mean_and_variance(replace(samples, conditions=known), m)
     assert sum(one is not None for one in found) > 0
     T = samples.T_base_platform.as_matrix()
     arms = m.platform_joints @ np.swapaxes(T[:, :3, :3], 1, 2)
@@ -42,13 +45,15 @@ def test_signs_are_those_of_struts_in_balance(design):
 def test_without_gravity_or_where_every_strut_pushes_there_is_no_sign(design):
     samples, _ = sampled(design, 3, 30)
     n = len(samples)
-    assert strut_load_signs(samples, design.mechanism) == [None] * 6
+    assert strut_load_signs_with_sign_mean_and_variance(samples, design.mechanism) == [None] * 6
     known = Conditions(np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), None, None, None))
     T = samples.T_base_platform
     pushing = hexapod.axis_forces_and_torques(
         T, samples.effective, design.mechanism, known.weight.wrench(T, np.zeros(n))
     )
-    for i, one in enumerate(strut_load_signs(replace(samples, conditions=known), design.mechanism)):
+    for i, one in enumerate(
+        strut_load_signs_with_sign_mean_and_variance(replace(samples, conditions=known), design.mechanism)
+    ):
         assert one is not None or (pushing[:, i] > 0).all() or (pushing[:, i] < 0).all()
 
 
@@ -70,7 +75,7 @@ def test_travels_whose_corners_close_on_no_pose(design):
     known = Conditions(
         np.zeros((n, 6)), samples.t, {}, Weight(np.array([0, 0, -9.81]), 5.0, np.array([0, 0.4, 0.3]), None)
     )
-    for one in strut_load_signs(replace(samples, conditions=known), wide):
+    for one in strut_load_signs_with_sign_mean_and_variance(replace(samples, conditions=known), wide):
         if one is not None:
             mean, variance = one[1]((evenly_spread_configurations(wide, PLACES) - middle) / (2.4 * half))
             assert set(mean[refused(wide)]) <= {0.0} and set(variance[refused(wide)]) <= {1.0}

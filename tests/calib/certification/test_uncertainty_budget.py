@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.certification.uncertainty_budget import (
-    camera_and_lens_covariance,
     expanded_uncertainty_over_poses,
+    pose_covariances_by_cameras_and_by_lenses,
     rms_position_and_rotation_uncertainty,
 )
 
@@ -25,7 +25,7 @@ def test_cameras_and_lenses_make_up_what_is_shared():
     measurement = SimpleNamespace(
         adjustment=SimpleNamespace(shared_factor=factor, shared_names=names, of_prints=np.zeros(len(names), bool))
     )
-    cameras, lenses = camera_and_lens_covariance([(SimpleNamespace(common=common), measurement)])
+    cameras, lenses = pose_covariances_by_cameras_and_by_lenses([(SimpleNamespace(common=common), measurement)])
     whole = rms_position_and_rotation_uncertainty(common @ np.swapaxes(common, 1, 2))
     known = np.linalg.inv(np.linalg.inv(factor @ factor.T)[:6, :6])  # covariance of the places were the lens known
     assert rms_position_and_rotation_uncertainty(cameras) == pytest.approx(
@@ -36,7 +36,7 @@ def test_cameras_and_lenses_make_up_what_is_shared():
         == pytest.approx(whole)
         and rms_position_and_rotation_uncertainty(lenses)[0] < whole[0]
     )
-    assert camera_and_lens_covariance([(SimpleNamespace(common=common), None)]) is None
+    assert pose_covariances_by_cameras_and_by_lenses([(SimpleNamespace(common=common), None)]) is None
 
 
 @pytest.mark.parametrize("widths, k", [((1, 1, 1), 1.614), ((1, 0, 0), 1.960), ((1, 1, 0), 1.731), ((3, 1, 0.2), None)])

@@ -10,9 +10,9 @@ from calib.certification.claim_verification import verify_claim
 from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
-    configuration_folds,
     configuration_numbers,
     mean_sample_per_configuration,
+    time_block_folds_of_configurations,
 )
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
@@ -25,7 +25,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parame
 from rig.model.pose import pose_difference
 from rig.planning import configuration_generators, plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.noisy_samples import sampled
 
 
@@ -60,7 +60,7 @@ def at_poses(design, seed, distinct, repeats):
 def at_corners(design, text, folder, seed, distinct, repeats):
     """(Claim, before / after elsewhere) of a recording simulated corner by corner, measured by its cameras."""
     rng, strokes = np.random.default_rng(seed), design.mechanism.strut_range
-    secret = secret_machine_and_truth_file.draw_machine(design, rng)
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng)
     route = plan.plan_of_configurations(
         visited(design.mechanism, distinct, repeats, seed), strokes.mean(axis=1), plan.planned_axis_speeds(design)
     )
@@ -84,7 +84,7 @@ def test_repeats_are_one_configuration_from_whichever_side(design):
     label = configuration_numbers(commands, strokes)
     middle = np.abs(commands - strokes.mean(axis=1)).max(axis=1) < 1e-6
     assert middle.sum() == 48 and len(set(label[middle])) == 1 and label.max() + 1 == 49
-    fold = configuration_folds(label, 5)
+    fold = time_block_folds_of_configurations(label, 5)
     assert set(fold) == set(range(5)) and all(len(set(fold[label == k])) == 1 for k in set(label))
 
 

@@ -9,9 +9,9 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm
 from rig.planning import configuration_generators, plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
+from rig.recording.corner_and_pose_csv_tables import write_poses
 from rig.recording.recording_folder import Poses
-from rig.recording.recording_tables import write_poses
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib import secret_arms
 from tests.conftest import BENCH
 
@@ -34,7 +34,7 @@ JOINTS = np.array(
 
 def recorded(
     folder: Path, number: int = 0, effects: tuple = (), size: float = 1.0
-) -> tuple[secret_machine_and_truth_file.World, recording_simulation.Simulation]:
+) -> tuple[random_true_machine_and_truth_file.World, recording_simulation.Simulation]:
     """A good recording at corner level of one of the RIGS, with its World and Simulation."""
     radius, cameras, width, height, cubes, frames, noise = RIGS[number]
     text = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(
@@ -43,7 +43,7 @@ def recorded(
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(text)
     design, rng = design_from_rig_toml.load_design(folder / "rig.toml"), np.random.default_rng(100 + number)
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, size, effects)
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.plan_of_configurations(
         configuration_generators.sobol_configurations(strokes, frames, seed=number),

@@ -8,23 +8,23 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
-from calib.models.wanted_pose_commands import poses_to_command
+from calib.models.wanted_pose_commands import pose_commands_for_controller_with_own_kinematics
 from rig.cli.command_line import main
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.emulators.emulated_axes_and_faults import EmulatedMachine, Faults, MovingAxes
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults, MovingAxes
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.emulators.gcs import GCSHexapod
 from rig.driving.protocols.poses_of_hexapod_controllers import (
     AXES,
     PoseFrames,
-    controller_values_of_pose,
-    pose_of_controller_values,
+    poses_of_xyz_mm_uvw_degrees,
+    xyz_mm_uvw_degrees_of_poses,
 )
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.pose import pose, pose_difference
-from rig.recording.recording_tables import Poses, write_poses
-from synthetic import secret_machine_and_truth_file
+from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
+from synthetic import random_true_machine_and_truth_file
 from tests.rig.arms import random_arm
 
 FRAMES = {
@@ -43,10 +43,10 @@ def wanted_poses(hexapod, count=40):
 def test_the_platform_comes_where_it_is_wanted_as_by_lengths(design, frames):
     """A controller that takes poses, with the nominal geometry, moves a machine that is built otherwise."""
     nominal = design.mechanism
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(4)).true.mechanism
     wanted = wanted_poses(nominal)
     lengths = Correction(nominal, true, (None,) * 6).inverse_without_physics(wanted)
-    commands = poses_to_command(nominal, lengths, wanted, frames)
+    commands = pose_commands_for_controller_with_own_kinematics(nominal, lengths, wanted, frames)
     made = mechanisms.hexapod.inverse(frames.pose_of_command(commands), nominal)  # what such a controller does
     before, by_lengths, by_poses = (
         np.linalg.norm(pose_difference(mechanisms.hexapod.forward(one, true, wanted), wanted)[:, :3], axis=1)
@@ -70,20 +70,22 @@ def test_lengths_that_no_pose_gives_are_refused(design):
     lengths = mechanisms.hexapod.inverse(wanted, design.mechanism)
     lengths[1, 0] += 2.0
     with pytest.raises(NotConverged, match="1 of 3 poses"):
-        poses_to_command(design.mechanism, lengths, wanted, PoseFrames())
+        pose_commands_for_controller_with_own_kinematics(design.mechanism, lengths, wanted, PoseFrames())
 
 
 def test_only_a_hexapod_takes_poses():
     arm = random_arm(np.random.default_rng(0))
     with pytest.raises(RigError, match="takes poses drives a hexapod, not a mechanism of kind 'arm'"):
-        poses_to_command(arm, np.zeros((1, 6)), pose([[0, 0, 0]], [[0, 0, 0]]), PoseFrames())
+        pose_commands_for_controller_with_own_kinematics(
+            arm, np.zeros((1, 6)), pose([[0, 0, 0]], [[0, 0, 0]]), PoseFrames()
+        )
 
 
 @pytest.mark.parametrize("pivot", [np.zeros(3), np.array([0.0, 0.01, 0.05])], ids=["origin", "pivot"])
 def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_by_lengths(design, pivot):
     """MOV with corrected poses, over the wire; the machine is built otherwise, and its calibration is not perfect."""
     nominal, rng = design.mechanism, np.random.default_rng(6)
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(4)).true.mechanism
     fitted = replace(true, base_joints=true.base_joints + 2e-5 * rng.standard_normal((6, 3)))
     clock, home = SimulatedClock(1000.0), home_lengths(nominal)
     axes = MovingAxes(clock.now(), home, np.full(6, 0.1), np.full(6, 5.0))
@@ -98,7 +100,9 @@ def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_b
     wanted = wanted_poses(nominal, 20)
     lengths = Correction(nominal, fitted, (None,) * 6).inverse_without_physics(wanted)
     frames = PoseFrames(work=nominal.home, pivot=pivot, mm_and_degrees=True)
-    commands = controller_values_of_pose(poses_to_command(nominal, lengths, wanted, frames))
+    commands = xyz_mm_uvw_degrees_of_poses(
+        pose_commands_for_controller_with_own_kinematics(nominal, lengths, wanted, frames)
+    )
     say("SVO " + " ".join(f"{axis} 1" for axis in AXES))
     say("SPI " + " ".join(f"{name} {1e3 * value}" for name, value in zip("RST", pivot)))
     assert say("SPI?") == [f"{name}={1e3 * value:.6f}" for name, value in zip("RST", pivot)]
@@ -121,7 +125,7 @@ def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_b
 
 
 def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_path, capsys):
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(4)).true.mechanism
     correction = Correction(design.mechanism, true, (None,) * 6)
     none = np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}
     save(tmp_path / "calibration.json", Calibration(correction, *none))
@@ -141,12 +145,12 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
     np.testing.assert_allclose(mechanisms.hexapod.inverse(commanded, design.mechanism), lengths, atol=1e-9)
     columns, values = written("gcs", "--pivot", "0,0,0.1", "--work", "0,0,0.2,0,0,0")
     frames = PoseFrames(work=pose([0, 0, 0.2], [0, 0, 0]), pivot=np.array([0, 0, 0.1]))
-    round_trip = frames.pose_of_command(pose_of_controller_values(values))
+    round_trip = frames.pose_of_command(poses_of_xyz_mm_uvw_degrees(values))
     assert columns == "frame,X,Y,Z,U,V,W"
     np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
     columns, newport = written("hxp", "--tool", "0,0,0.1,0,0,0", "--work", "0,0,0.2,0,0,0")
     frames = PoseFrames(work=pose([0, 0, 0.2], [0, 0, 0]), tool=pose([0, 0, 0.1], [0, 0, 0]))
-    round_trip = frames.pose_of_command(pose_of_controller_values(newport))
+    round_trip = frames.pose_of_command(poses_of_xyz_mm_uvw_degrees(newport))
     assert columns == "frame,X,Y,Z,U,V,W"
     np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
     np.testing.assert_allclose(newport[:, 3:], values[:, 3:], atol=1e-9)
@@ -163,6 +167,6 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
 
 
 def test_angles_turn_about_axes_that_move_along():
-    T = pose_of_controller_values([1.0, 2.0, 3.0, 90.0, 0.0, 90.0])
+    T = poses_of_xyz_mm_uvw_degrees([1.0, 2.0, 3.0, 90.0, 0.0, 90.0])
     np.testing.assert_allclose(T.apply([1.0, 0, 0]), [1e-3, 2e-3, 3e-3 + 1], atol=1e-15)  # first U, then W about new z
-    np.testing.assert_allclose(controller_values_of_pose(T), [1, 2, 3, 90, 0, 90], atol=1e-9)
+    np.testing.assert_allclose(xyz_mm_uvw_degrees_of_poses(T), [1, 2, 3, 90, 0, 90], atol=1e-9)

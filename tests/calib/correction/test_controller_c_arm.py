@@ -11,13 +11,13 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.api.correct import CorrectOptions, correct
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import fit_field
-from calib.correction.physics_compensation import Physics
+from calib.correction.correction_field_methods_fitting_combination_and_json import fit_field
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.model.mechanisms import arm as mechanism
 from rig.planning.configuration_generators import sobol_configurations

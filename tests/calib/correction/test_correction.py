@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.correction.correction import Correction, calibrate_correction, require_reachable
+from calib.correction.correction import (
+    Correction,
+    fit_geometry_and_remainder_of_correction,
+    require_commands_in_axis_ranges,
+)
 from calib.correction.interpolation import gaussian_process
 from rig.errors import RigError, Unreachable
 from rig.model.design import Free
@@ -22,7 +26,7 @@ def wavy(commands):
 
 def test_summand_is_commanded_less_inverse_of_measured(design):
     samples, true = sampled(design, 1)
-    correction, _ = calibrate_correction(samples, design.mechanism)
+    correction, _ = fit_geometry_and_remainder_of_correction(samples, design.mechanism)
     commands = hexapod.inverse(workspace(design, 20), design.mechanism)
     exact = commands - hexapod.inverse(real(commands, true), design.mechanism)
     np.testing.assert_allclose(correction.summand(commands), exact, atol=2.5e-5)
@@ -31,7 +35,7 @@ def test_summand_is_commanded_less_inverse_of_measured(design):
 
 def test_corrected_commands_solve_the_fixed_point(design):
     samples, _ = sampled(design, 2, deviation=wavy)
-    correction, _ = calibrate_correction(samples, design.mechanism)
+    correction, _ = fit_geometry_and_remainder_of_correction(samples, design.mechanism)
     assert any(correction.remainder)
     wanted = workspace(design, 50)
     commands = correction.inverse(wanted)
@@ -46,7 +50,7 @@ def test_corrected_commands_solve_the_fixed_point(design):
 
 def test_commanded_poses_become_the_poses_one_gets(design):
     samples, true = sampled(design, 3)
-    correction, found = calibrate_correction(samples, design.mechanism)
+    correction, found = fit_geometry_and_remainder_of_correction(samples, design.mechanism)
     wanted = workspace(design)
     before = rms(pose_difference(wanted, real(hexapod.inverse(wanted, design.mechanism), true)))
     after = rms(pose_difference(wanted, real(correction.inverse(wanted), true)))
@@ -55,8 +59,8 @@ def test_commanded_poses_become_the_poses_one_gets(design):
 
 def test_the_remainder_takes_what_geometry_cannot(design):
     samples, true = sampled(design, 5, count=300, deviation=wavy)
-    correction, _ = calibrate_correction(samples, design.mechanism)
-    plain, _ = calibrate_correction(samples, design.mechanism, "none")
+    correction, _ = fit_geometry_and_remainder_of_correction(samples, design.mechanism)
+    plain, _ = fit_geometry_and_remainder_of_correction(samples, design.mechanism, "none")
     wanted = workspace(design)
     errors = [rms(pose_difference(wanted, real(c.inverse(wanted), true, wavy)))[0] for c in (plain, correction)]
     assert correction.remainder[1] is not None and errors[1] < 0.75 * errors[0]
@@ -64,7 +68,7 @@ def test_the_remainder_takes_what_geometry_cannot(design):
 
 def test_no_remainder_is_made_of_noise(design):
     for seed in range(5):
-        correction, _ = calibrate_correction(sampled(design, seed)[0], design.mechanism)
+        correction, _ = fit_geometry_and_remainder_of_correction(sampled(design, seed)[0], design.mechanism)
         assert correction.remainder == (None,) * 6
 
 
@@ -81,11 +85,11 @@ def test_the_remainder_fades_beyond_the_samples(design):
 def test_unreachable_poses_are_all_listed(design):
     correction = Correction(design.mechanism, design.mechanism, (None,) * 6)
     commands = np.tile(design.mechanism.strut_range.mean(axis=1), (3, 1))
-    require_reachable(commands, design.mechanism, ["a", "b", "c"])
+    require_commands_in_axis_ranges(commands, design.mechanism, ["a", "b", "c"])
     commands[1, 2] += 0.1
     commands[2] -= 0.2
     with pytest.raises(Unreachable) as caught:
-        require_reachable(commands, design.mechanism, ["frame 0", "frame 7", "frame 9"])
+        require_commands_in_axis_ranges(commands, design.mechanism, ["frame 0", "frame 7", "frame 9"])
     assert caught.value.index.tolist() == [1, 2]
     assert (
         "frame 7: strut 3 at" in str(caught.value)
@@ -97,4 +101,4 @@ def test_unreachable_poses_are_all_listed(design):
 
 def test_another_kind_is_refused_by_name(design):
     with pytest.raises(RigError, match="'free'"):
-        calibrate_correction(sampled(design, 1)[0], Free())
+        fit_geometry_and_remainder_of_correction(sampled(design, 1)[0], Free())

@@ -24,7 +24,7 @@ from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector
-from rig.recording.recording_tables import Poses
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 from tests.calib.controllers_in_c import CALIBRATIONS, WARM, sensors_of, wanted
 from tests.cli import RIG

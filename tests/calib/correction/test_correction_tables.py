@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correction import interpolation_methods_and_interpolated_correction_summands
+from calib.correction import correction_field_methods_fitting_combination_and_json
 from calib.correction.correction import Correction
+from calib.correction.correction_field_methods_fitting_combination_and_json import measured_correction_summands
 from calib.correction.correction_tables import (
     axis_correction_tables,
     correction_summand_column_names,
-    correction_summand_table_rows,
+    correction_summand_csv_rows,
     grid_correction_table,
     strut_correction_summands,
 )
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import measured_correction_summands
-from rig.formats.exporters import geometry_and_camera_files
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
+from rig.formats.exporters import geometry_compensation_and_camera_file_exports
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_generators import sobol_configurations
 from tests.calib.noisy_samples import real, sampled
@@ -28,7 +28,7 @@ def additive(design):
     m = design.mechanism
     x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = 5e-5 * np.sin((x - m.strut_range.mean(axis=1)) / 0.02)
-    field = interpolation_methods_and_interpolated_correction_summands.fit_field(
+    field = correction_field_methods_fitting_combination_and_json.fit_field(
         "axes", FieldSamples(x, values, np.full(values.shape, 1e-14), m.strut_range)
     )
     return Correction(m, replace(m, strut_zeros=m.strut_zeros + 3e-4), (None,) * 6, extension=field)
@@ -49,9 +49,15 @@ def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive
     assert (found.left < 2e-7).all()
     wanted = sobol_configurations(design.mechanism.strut_range, 60, 0.7, 5)
     T = hexapod.forward(wanted, additive.fitted)
-    commands, scale, zeros = (additive.inverse(T), geometry_and_camera_files.SCALE[units], additive.fitted.strut_zeros)
+    commands, scale, zeros = (
+        additive.inverse(T),
+        geometry_compensation_and_camera_file_exports.SCALE[units],
+        additive.fitted.strut_zeros,
+    )
     for i in range(6):
-        text = geometry_and_camera_files.linuxcnc_compensation_file(found.levels[i] + zeros[i], found.trims[i], units)
+        text = geometry_compensation_and_camera_file_exports.linuxcnc_compensation_file(
+            found.levels[i] + zeros[i], found.trims[i], units
+        )
         corrected = by_linuxcnc(text, (wanted[:, i] + zeros[i]) * scale) / scale - zeros[i]
         np.testing.assert_allclose(corrected, commands[:, i], atol=3e-7)
         assert np.abs(wanted[:, i] - commands[:, i]).max() > 1e-5
@@ -62,7 +68,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
     x = sobol_configurations(m.strut_range, 300, 1.0, 3)
     values = np.zeros(x.shape)
     values[:, 1] = 1e-3 * (x[:, 0] - m.strut_range[0].mean())
-    field = interpolation_methods_and_interpolated_correction_summands.fit_field(
+    field = correction_field_methods_fitting_combination_and_json.fit_field(
         "polynomial", FieldSamples(x, values, np.full(x.shape, 1e-14), m.strut_range)
     )
     found = axis_correction_tables(Correction(m, m, (None,) * 6, extension=field), 9)
@@ -71,7 +77,9 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
 
 def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
-    text = geometry_and_camera_files.correction_grid_csv(*grid_correction_table(additive, 2), m.axes, "m")
+    text = geometry_compensation_and_camera_file_exports.correction_grid_csv(
+        *grid_correction_table(additive, 2), m.axes, "m"
+    )
     lines = text.splitlines()
     comments, header = (
         [line for line in lines if line.startswith("#")],
@@ -91,7 +99,7 @@ def test_ksf_rows_are_commanded_less_what_was_measured_with_its_covariance(desig
     rows = np.array(
         [
             [float(cell) for cell in line.split(",")]
-            for line in correction_summand_table_rows(samples, strut_correction_summands(samples, design.mechanism))
+            for line in correction_summand_csv_rows(samples, strut_correction_summands(samples, design.mechanism))
         ]
     )
     assert rows.shape == (200, len(columns)) and len(columns) == 1 + 18 + 21

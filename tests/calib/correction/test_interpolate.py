@@ -11,8 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from calib.correction import interpolation_methods_and_interpolated_correction_summands
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples, merge_repeated_samples
+from calib.correction import correction_field_methods_fitting_combination_and_json
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
+    FieldSamples,
+    merge_repeated_samples,
+)
 from calib.correction.interpolation.interpolation_on_grid_of_samples import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_entries import Entries
@@ -61,7 +64,7 @@ def affine(x, seed=0):
 def test_grids_pass_through_their_samples(axes, seed):
     known, _ = on_grid(axes, seed)
     for kind in GRIDS:
-        field = interpolation_methods_and_interpolated_correction_summands.fit_field(kind, known)
+        field = correction_field_methods_fitting_combination_and_json.fit_field(kind, known)
         np.testing.assert_allclose(field.value(known.configurations), known.values, atol=1e-17)
         assert (field.error(known.configurations) < 2e-7).all() and field.inside(known.configurations).all()
 
@@ -73,7 +76,7 @@ def test_weights_are_a_partition_of_unity_and_their_slopes_of_nothing(axes, seed
     known, _ = on_grid(axes, seed)
     x = np.random.default_rng(seed).uniform(0.39, 0.51, (20, axes))
     for kind in GRIDS:
-        field = interpolation_methods_and_interpolated_correction_summands.fit_field(kind, known)
+        field = correction_field_methods_fitting_combination_and_json.fit_field(kind, known)
         found = field.weights(x)
         np.testing.assert_allclose(found.weight.sum(axis=1), 1, atol=1e-14)
         assert (found.weight >= -1e-15).all()
@@ -90,7 +93,7 @@ def test_simplices_and_the_grid_agree_on_linear_functions(axes, seed):
     known = FieldSamples(known.configurations, affine(known.configurations), known.variances, known.strokes)
     x = np.random.default_rng(seed).uniform(0.42, 0.48, (20, axes))
     for kind in GRIDS:
-        field = interpolation_methods_and_interpolated_correction_summands.fit_field(kind, known)
+        field = correction_field_methods_fitting_combination_and_json.fit_field(kind, known)
         np.testing.assert_allclose(field.value(x), affine(x), atol=1e-16)
         np.testing.assert_allclose(field.gradient(x)[0], np.moveaxis(field.gradient(x), 0, -1)[..., 1], atol=1e-12)
 
@@ -114,7 +117,7 @@ def test_grids_are_continuous_over_cells_simplices_and_the_cubes_faces(axes, see
             x[k, i[k]], x[k, j] = (levels[a][0] + share * (levels[a][1] - levels[a][0]) for a in (i[k], j))
     step = 1e-9 * np.eye(axes)[i]
     for kind in GRIDS:
-        field = interpolation_methods_and_interpolated_correction_summands.fit_field(kind, known)
+        field = correction_field_methods_fitting_combination_and_json.fit_field(kind, known)
         assert np.abs(field.value(x + step) - field.value(x - step)).max() < 2e-9 * np.abs(known.values).max() / 0.002
 
 
@@ -124,13 +127,11 @@ def test_the_grid_agrees_with_scipy():
     order = np.lexsort(known.configurations.T[::-1])
     other = RegularGridInterpolator(levels, known.values[order].reshape(*[len(level) for level in levels], 4))
     np.testing.assert_allclose(
-        interpolation_methods_and_interpolated_correction_summands.fit_field("linear", known).value(x),
-        other(x),
-        atol=1e-17,
+        correction_field_methods_fitting_combination_and_json.fit_field("linear", known).value(x), other(x), atol=1e-17
     )
 
 
-@pytest.mark.parametrize("kind", interpolation_methods_and_interpolated_correction_summands.METHODS)
+@pytest.mark.parametrize("kind", correction_field_methods_fitting_combination_and_json.METHODS)
 @pytest.mark.parametrize("axes", [2, 3])
 def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     """Shapes, the gradient against differences, an error that is met, continuity far beyond the samples, and the same
@@ -140,7 +141,7 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     known = FieldSamples(
         known.configurations, smooth(known.configurations), np.full(known.values.shape, 1e-12), known.strokes
     )
-    field = interpolation_methods_and_interpolated_correction_summands.fit_field(kind, known)
+    field = correction_field_methods_fitting_combination_and_json.fit_field(kind, known)
     rng = np.random.default_rng(2)
     x = rng.uniform(0.38, 0.52, (40, axes))
     assert field.value(x.reshape(2, 20, axes)).shape == (2, 20, axes) and field.gradient(
@@ -158,8 +159,8 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
     assert field.inside(inner).all() and not field.inside(np.full(axes, 0.6))
     far = 0.45 + np.linspace(0, 0.3, 30001)[:, None] * rng.normal(size=axes)
     assert np.abs(np.diff(field.value(far), axis=0)).max() < 1e-6 and np.isfinite(field.value(far)).all()
-    tree = json.loads(json.dumps(interpolation_methods_and_interpolated_correction_summands.field_to_dict(field)))
-    reloaded = interpolation_methods_and_interpolated_correction_summands.field_from_entries(
+    tree = json.loads(json.dumps(correction_field_methods_fitting_combination_and_json.field_to_dict(field)))
+    reloaded = correction_field_methods_fitting_combination_and_json.field_from_entries(
         Entries(tree, (), Path("c.json"), {(): (1, 1)}), axes
     )
     np.testing.assert_allclose(reloaded.value(x), field.value(x), atol=1e-18)
@@ -169,9 +170,9 @@ def test_every_kind_keeps_the_interface(kind, axes, tmp_path):
 @pytest.mark.parametrize("axes, count", [(2, 40), (3, 60), (6, 60)])
 def test_scattered_samples_are_met_exactly_and_linear_functions_too(axes, count):
     known = scattered(axes, count, 3)
-    field = interpolation_methods_and_interpolated_correction_summands.fit_field("delaunay", known)
+    field = correction_field_methods_fitting_combination_and_json.fit_field("delaunay", known)
     np.testing.assert_allclose(field.value(known.configurations), known.values, atol=1e-12)
-    linear = interpolation_methods_and_interpolated_correction_summands.fit_field(
+    linear = correction_field_methods_fitting_combination_and_json.fit_field(
         "delaunay", FieldSamples(known.configurations, affine(known.configurations), known.variances, known.strokes)
     )
     inner = 0.5 * known.configurations[:20] + 0.5 * known.configurations[20:40]
@@ -182,9 +183,7 @@ def test_scattered_samples_are_met_exactly_and_linear_functions_too(axes, count)
 def test_samples_on_a_grid_are_triangulated_though_they_lie_on_spheres():
     known, _ = on_grid(3, 7, parts=3)
     np.testing.assert_allclose(
-        interpolation_methods_and_interpolated_correction_summands.fit_field("delaunay", known).value(
-            known.configurations
-        ),
+        correction_field_methods_fitting_combination_and_json.fit_field("delaunay", known).value(known.configurations),
         known.values,
         atol=1e-12,
     )
@@ -209,9 +208,7 @@ def test_repeats_count_once_and_samples_beside_the_grid_are_left_out():
     assert (grid_lattice_of_configurations(twice.configurations, twice.strokes).vertex[-9:] == -1).all()
     for kind in GRIDS:
         np.testing.assert_allclose(
-            interpolation_methods_and_interpolated_correction_summands.fit_field(kind, twice).value(
-                known.configurations
-            ),
+            correction_field_methods_fitting_combination_and_json.fit_field(kind, twice).value(known.configurations),
             known.values,
             atol=1e-16,
         )
@@ -231,7 +228,7 @@ def test_vertices_that_a_grid_lost_are_estimated_as_well_as_it_states(axes, part
         lattice = grid_lattice_of_configurations(some.configurations, some.strokes)
         in_order = grid.configurations[gone][np.lexsort(grid.configurations[gone].T[::-1])]
         np.testing.assert_allclose(lattice.lost, in_order, atol=1e-9)
-        field = interpolation_methods_and_interpolated_correction_summands.fit_field(kind, some)
+        field = correction_field_methods_fitting_combination_and_json.fit_field(kind, some)
         np.testing.assert_allclose(field.value(some.configurations), some.values, atol=1e-15)
         off = field.value(grid.configurations[gone]) - smooth(grid.configurations[gone])
         relative.append(off / field.error(grid.configurations[gone]))
@@ -260,11 +257,11 @@ def test_samples_that_share_many_levels_and_fill_no_grid_are_refused_at_once():
 def test_a_grid_that_lacks_a_quarter_of_its_vertices_is_refused_by_name():
     known, _ = on_grid(3, 4, parts=2)
     with pytest.raises(RigError, match="fill no grid.*delaunay"):
-        interpolation_methods_and_interpolated_correction_summands.fit_field(
+        correction_field_methods_fitting_combination_and_json.fit_field(
             "simplex", known.take(np.arange(7, len(known.values)))
         )
     with pytest.raises(RigError, match="'cubic'"):
-        interpolation_methods_and_interpolated_correction_summands.fit_field("cubic", known)
+        correction_field_methods_fitting_combination_and_json.fit_field("cubic", known)
 
 
 @pytest.mark.parametrize(
@@ -281,14 +278,14 @@ def test_what_is_no_field_is_refused_with_its_place(spoil, says):
     known, _ = on_grid(3, 4, parts=2)
     tree = json.loads(
         json.dumps(
-            interpolation_methods_and_interpolated_correction_summands.field_to_dict(
-                interpolation_methods_and_interpolated_correction_summands.fit_field("simplex", known)
+            correction_field_methods_fitting_combination_and_json.field_to_dict(
+                correction_field_methods_fitting_combination_and_json.fit_field("simplex", known)
             )
         )
     )
     spoil(tree)
     with pytest.raises(FileError, match=says):
-        interpolation_methods_and_interpolated_correction_summands.field_from_entries(
+        correction_field_methods_fitting_combination_and_json.field_from_entries(
             Entries(tree, ("extension",), Path("c.json"), {(): (1, 1)}), 3
         )
 
@@ -321,7 +318,7 @@ def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):
     levels = [np.linspace(low, high, 3) for low, high in m.strut_range]
     rng = np.random.default_rng(1)
     values = 5e-5 * rng.normal(size=(729, 6))
-    field = interpolation_methods_and_interpolated_correction_summands.METHODS["simplex"](
+    field = correction_field_methods_fitting_combination_and_json.METHODS["simplex"](
         tuple(levels), values, np.zeros(values.shape), np.zeros(6)
     )
     wanted = workspace(design, 200)
@@ -330,7 +327,7 @@ def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):
         commands, Correction(m, m, (None,) * 6).inverse(wanted) + field.value(commands), atol=1e-12
     )
     with pytest.raises(NotConverged):
-        wild = interpolation_methods_and_interpolated_correction_summands.METHODS["simplex"](
+        wild = correction_field_methods_fitting_combination_and_json.METHODS["simplex"](
             tuple(levels), 1e4 * values, np.zeros(values.shape), np.zeros(6)
         )
         Correction(m, m, (None,) * 6, extension=wild).inverse(wanted)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.correct import CorrectOptions, correct
 from calib.api.export_calibration_or_recording import ExportOptions, export
-from calib.correction.controller_kinematics_source import linuxcnc_kinematics_source
+from calib.correction.hexapod_kinematics_c_source_for_linuxcnc_and_grblhal import linuxcnc_kinematics_source
 from calib.files import calibration_file
 from rig.cli.command_line import main
 from rig.errors import RigError

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.correct import CorrectOptions, correct
-from calib.correction.controller_kinematics_source import linuxcnc_kinematics_source
+from calib.correction.hexapod_kinematics_c_source_for_linuxcnc_and_grblhal import linuxcnc_kinematics_source
 from rig.model.mechanisms import hexapod
 from tests.calib.controllers_in_c import (
     CALIBRATIONS,

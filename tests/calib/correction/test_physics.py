@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction, calibrate_correction
-from calib.correction.interpolation.field_interface_and_combinations import FieldSamples
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
+from calib.correction.correction import Correction, fit_geometry_and_remainder_of_correction
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_pose_space_map,
     fit_field,
     home_pose,
 )
-from calib.correction.physics_compensation import (
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
+from calib.correction.physical_effects_of_calibration_and_their_compensation import (
     Machine,
     Physics,
     Unknown,
     command_uncertainty_from_unknown_history,
     compensated_commands_at_poses,
 )
-from calib.correction.timed_command_sequence_and_pose_error_map import HOLDING, TURNING, Pace, timed_route
-from calib.diagnosis.findings_refit import Findings
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import HOLDING, TURNING, Pace, timed_route
+from calib.diagnosis.geometry_refitted_with_diagnosed_effects import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
@@ -32,7 +32,7 @@ from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
@@ -40,7 +40,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning import configuration_generators
 from rig.recording.recording_folder import Sensors
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.bench.physics import ROUTE, effect_of
 from tests.calib.rigs_with_unmodelled_physics import driven, learnt, measured_by, three_ways, write
 from tests.rig.effects.test_effects import SOME
@@ -90,7 +90,7 @@ def wanted(design, count=12, every=20.0, seed=3):
     """(poses (count,), times (count,) s, Sensors over them)."""
     lengths = configuration_generators.sobol_configurations(design.mechanism.strut_range, count, 0.6, seed)
     t = 40 + every * np.arange(count)
-    _, log = secret_machine_and_truth_file.draw_temperatures(t[-1], np.random.default_rng(seed))
+    _, log = random_true_machine_and_truth_file.random_true_and_logged_temperatures(t[-1], np.random.default_rng(seed))
     log = Sensors(log.t, {**log.channels, "payload_mass_kg": np.linspace(0, 7, len(log.t))})
     return hexapod.forward(lengths, design.mechanism), t, log
 
@@ -320,7 +320,7 @@ def test_diagnosed_calibrated_corrected_driven_verified(tmp_path, seen, capsys):
     _, secret = write(
         tmp_path / "rec", design, text, 21, (parse_effect("backlash:strut5:gap=1e-4"),), "sobol:40,ladder:1"
     )
-    secret_machine_and_truth_file.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
+    random_true_machine_and_truth_file.write_truth(tmp_path / "truth.json", secret, design.mechanism.home)
     (tmp_path / "rig.toml").write_text(text)
     run(capsys, "diagnose", tmp_path / "rec", "--out", tmp_path / "d", "--only", "backlash")
     output = run(capsys, "calibrate", tmp_path / "rec", "--diagnosis", tmp_path / "d", "--out", tmp_path / "c.json")
@@ -423,7 +423,7 @@ def test_the_geometry_knows_that_the_physics_is_not_sure(tmp_path, seen):
     rec, _ = write(tmp_path / "rec", design, text, 32, (), "sobol:30")
     sampled = sample_recording(rec)
     known = learnt(rec, sampled, Findings((parse_effect("scale_error:strut1:scale=1e-4"),), None, ()), "none")
-    _, found = calibrate_correction(sampled.samples, design.mechanism, "none")
+    _, found = fit_geometry_and_remainder_of_correction(sampled.samples, design.mechanism, "none")
     assert (np.diag(known.covariance) >= np.diag(found.covariance) * 0.999).all() and np.abs(
         known.physics.cross
     ).max() > 0

@@ -8,13 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM
-from calib.diagnosis.engine.term_selection import _exchanged
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import PLATFORM
+from calib.diagnosis.engine.forward_and_backward_term_selection import _exchanged
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidate
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
+    refine_operating_point,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Candidate, Linear
 from rig.formats.rig_toml import design_from_rig_toml

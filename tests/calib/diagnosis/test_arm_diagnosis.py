@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from calib.api.diagnose import diagnose
-from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Geometry, linearise_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.framework.machine_motion_and_play import play_operator
 from rig.errors import NotEnoughData

@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording import recording_folder
-from synthetic import blind_cases
+from synthetic import random_blind_platform_cases_with_truth
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.shifted_clock import ORIGINS, counted_from
@@ -97,6 +97,6 @@ def cells(page):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [effect.name for effect in ALL])
 def test_no_verdict_of_the_catalogue_depends_on_the_origin(tmp_path, kind):
-    case = blind_cases.draw_case(11, 1, 160, [], ["one"], [kind])
-    blind_cases.write_recording(case, tmp_path / "rec")
+    case = random_blind_platform_cases_with_truth.draw_case(11, 1, 160, [], ["one"], [kind])
+    random_blind_platform_cases_with_truth.write_recording(case, tmp_path / "rec")
     assert_same(verdicts(tmp_path / "rec", tmp_path, sorted({kind, *CLOCKED})))

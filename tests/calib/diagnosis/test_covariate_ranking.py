@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS
-from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import NO_STATED_TERMS
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
+from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import ranked_covariates
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import ranked_covariates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
-from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import covariate_table_heads_and_rows
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors
 from tests.calib import secret_arms

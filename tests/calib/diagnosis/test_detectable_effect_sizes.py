@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidate_score import Threshold, least_significant_delta_chi2
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold, least_significant_delta_chi2
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
-from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.detectable_joint_effect_sizes import detectable_joint_effect_sizes
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates

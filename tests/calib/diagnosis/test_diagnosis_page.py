@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import repeatability_of_pairs
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeatability_of_pairs
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotTestedEntry
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, repeatability_entry
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
     model_residuals,
@@ -20,12 +20,12 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
 )
 from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
-from rig.recording.recording_tables import write_poses
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from rig.recording.corner_and_pose_csv_tables import write_poses
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 
 HIDDEN = "backlash:strut3:gap=8e-5"
@@ -40,7 +40,7 @@ def diagnosed(design, rig_text, tmp_path_factory):
 def make(design, rig_text, folder, text, only):
     rng = np.random.default_rng(4)
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect(text),)),
+        random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, (parse_effect(text),)),
         plan.build_plan(design, "sobol:14,ladder:1,payload:2,moving:6", 1),
         rng,
     )

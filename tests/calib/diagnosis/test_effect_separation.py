@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.effect_signal_to_noise_and_separation import effect_separation
+from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import separation_of_two_effects_by_plan
 from rig.cli import command_line
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.planning.plan import build_plan, sensors_with_payload
-from synthetic.secret_machine_and_truth_file import draw_temperatures
+from synthetic.random_true_machine_and_truth_file import random_true_and_logged_temperatures
 
 SIGMA = (1e-5, 1e-4)
 
 
 def is_separable(design, text, *effects):
     plan = build_plan(design, text, 3)
-    sensors, _ = draw_temperatures(plan.commands.t[-1], np.random.default_rng(3))
-    return effect_separation(
+    sensors, _ = random_true_and_logged_temperatures(plan.commands.t[-1], np.random.default_rng(3))
+    return separation_of_two_effects_by_plan(
         text,
         design,
         plan.commands,

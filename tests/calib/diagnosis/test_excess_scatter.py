@@ -8,18 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import MATERIAL, detect_excess_scatter
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import (
+    MATERIAL,
+    detect_excess_scatter,
+)
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, summary_sentence
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, summary_sentence
 from calib.samples.pose_samples import sample_recording
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Arm
 from rig.recording import recording_folder
-from rig.recording.recording_tables import Poses
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.report.verdict_refutations_and_result_display import State
 from tests.calib import secret_arms
 from tests.calib.diagnose_recording import diagnosis_of

@@ -6,18 +6,24 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-from calib.diagnosis.engine.candidate_score import Score, score_raised_to_likelihood_ratio
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, Candidate
-from calib.diagnosis.engine.cross_validation_and_chance import frame_folds, residual_dispersion, scan_p_value
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
-from calib.diagnosis.engine.reduced_least_squares import (
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Score, score_raised_to_likelihood_ratio
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import PLATFORM, Candidate
+from calib.diagnosis.engine.cross_validation_and_chance import (
+    cross_validation_folds_of_frames,
+    residual_dispersion,
+    scan_p_value,
+)
+from calib.diagnosis.engine.forward_and_backward_term_selection import _hidden
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     normal_equations_by_common_weights,
     solve_normal_equations,
 )
-from calib.diagnosis.engine.term_selection import _hidden
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import sides_of_sudden_changes
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
+    frames_before_and_after_sudden_changes,
+)
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps
 from tests.calib.diagnose_recording import diagnosis_of
@@ -95,17 +101,18 @@ def test_a_likelihood_ratio_with_scatter_free_is_as_likely_by_chance_as_it_says(
 def test_what_comes_before_a_moment_is_never_held_out_whole():
     for first in range(2, 40):
         late = np.arange(44) >= first
-        fold = frame_folds(44, True, [late, ~late])
+        fold = cross_validation_folds_of_frames(44, True, [late, ~late])
         assert all(len(np.unique(fold[side])) > 1 for side in (late, ~late) if side.sum() > 1), first
     np.testing.assert_array_equal(
-        frame_folds(44, True, [np.arange(44) >= 20, np.arange(44) < 20]), frame_folds(44, True)
+        cross_validation_folds_of_frames(44, True, [np.arange(44) >= 20, np.arange(44) < 20]),
+        cross_validation_folds_of_frames(44, True),
     )
 
 
 def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
     """In one stretch an axis may do so for where it stands: a coupling without a name was called lost steps."""
     t = np.arange(10.0)
-    late, early = sides_of_sudden_changes(
+    late, early = frames_before_and_after_sudden_changes(
         [CameraBump("camera cam1", time=3.0), MissedSteps("strut 2", jump=1e-4, time=3.0)], t
     )
     np.testing.assert_array_equal(late, ~early)

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.formula_search import Library, Quantity, Search
-from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Reduced
-from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Reduced
+from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import (
+    find_lack_of_fit_by_joint as arm_left,
+)
+from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import (
+    suggest_joint_formulas as arm_suggestions,
+)
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint as arm_left
-from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import suggest_joint_formulas as arm_suggestions
-from calib.diagnosis.problems.arm.projected_pose_residuals import fit_terms_to_poses
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
@@ -23,11 +27,11 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.strut_formula_suggestions import suggest_strut_formulas
 from calib.diagnosis.report.diagnosis_json_entries import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
-from calib.diagnosis.report.report_verdict_and_folder import Report, recommended_actions, write_diagnosis_json
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, recommended_actions, write_diagnosis_json
 from rig.cli.command_line import main
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written
-from rig.effects.texts.effect_texts_and_user_effect_files import load_effect_file
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import load_effect_file
 from rig.errors import FileError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.rig_toml import design_from_rig_toml

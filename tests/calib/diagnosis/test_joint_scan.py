@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.engine.linear_model import Column, LinearModel
-from calib.diagnosis.engine.term_selection import select_terms
-from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as arm_excess_scatter
+from calib.diagnosis.problems.arm import arm_lack_of_fit_covariates_and_joint_formulas as arm_excess_scatter
+from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatability
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Columns, Part, linearise_poses
-from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
     joint_motion_normal_equations_by_frame,
     score_candidates,

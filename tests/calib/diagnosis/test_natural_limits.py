@@ -5,7 +5,7 @@ coil wholly wound up.
 import pytest
 
 from rig.effects.catalogue import effect_list
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
 

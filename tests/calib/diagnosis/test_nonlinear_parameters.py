@@ -5,7 +5,7 @@ cover.
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import term_parameter_covariance
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates

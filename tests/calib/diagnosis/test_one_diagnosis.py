@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine import problem_interface as interface
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM
-from calib.diagnosis.engine.term_selection import select_terms
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM
+from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
     _under,
@@ -21,18 +21,18 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     POSES_ALONE,
     joint_candidates,
 )
-from calib.diagnosis.problems.arm.projected_pose_residuals import Term, fit_terms_to_poses
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Term, fit_terms_to_poses
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    FEWEST,
+    repeatability_of_pairs,
+    row_pairs_with_same_command,
+)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
-    FEWEST,
-    repeatability_of_pairs,
-    repeated_pairs,
-)
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording.recording_folder import Sensors
 from tests.calib.diagnose_recording import page_text
@@ -114,7 +114,7 @@ def test_regions_and_repeats_are_of_every_machine(tmp_path, design):
 def test_repeats_tell_noise_from_what_comes_again():
     rng = np.random.default_rng(0)
     commands = np.repeat(rng.uniform(size=(60, 3)), 2, axis=0)
-    pairs = repeated_pairs(commands, ("m", "m", "rad"))
+    pairs = row_pairs_with_same_command(commands, ("m", "m", "rad"))
     assert pairs.tolist() == [[2 * i, 2 * i + 1] for i in range(60)]
     noise, repeated = 1e-5 * rng.normal(size=(120, 6)), np.repeat(3e-5 * rng.normal(size=(60, 3)), 2, axis=0)
     one, two = noise[::2], noise[1::2]

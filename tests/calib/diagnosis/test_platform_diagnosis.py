@@ -12,25 +12,32 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.platform_certification import certify_platform
 from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform import misplaced_markers_and_held_out_validation, simultaneous_refinement
+from calib.diagnosis.problems.platform import (
+    joint_refinement_of_cameras_geometry_poses_and_effects,
+    marker_swap_detection_and_effect_cross_validation,
+)
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     Sensitivities,
     effect_parameter_directions,
     platform_candidates,
 )
-from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import find_lack_of_fit_by_place
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
+    refine_operating_point,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, linearise
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
+    find_lack_of_fit_by_place,
+)
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_effects_and_corner_noise
+from synthetic import random_true_machine_and_truth_file, recording_simulation, unlisted_effects_and_corner_noise
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
@@ -124,7 +131,7 @@ def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkey
         count.append(1)
         return linearise(*args, **options)
 
-    monkeypatch.setattr(simultaneous_refinement, "linearise", counted)
+    monkeypatch.setattr(joint_refinement_of_cameras_geometry_poses_and_effects, "linearise", counted)
     text = f"refraction:cam1:thickness=0.025,normal={'/'.join(map(str, normal))}"
     found = diagnosis_of(recorded(tmp_path, design, [text]), only=["refraction", "lens_distortion", "camera_bump"])
     report = json.loads(json.dumps(diagnosis_report(found).tree()))
@@ -140,9 +147,9 @@ def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkey
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
     point, _, _ = operating_point_of_recording(rec)
-    found = misplaced_markers_and_held_out_validation.find_marker_swaps(point, [k for k in ALL if k.discrete])
+    found = marker_swap_detection_and_effect_cross_validation.find_marker_swaps(point, [k for k in ALL if k.discrete])
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
-    left = misplaced_markers_and_held_out_validation.correct_marker_swaps(point, found)
+    left = marker_swap_detection_and_effect_cross_validation.correct_marker_swaps(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
 
 
@@ -228,7 +235,7 @@ def test_tangents_of_struts_are_derivatives_of_what_all_effects_do_together(quie
 def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, design):
     rng = np.random.default_rng(7)
     for name, load in (("before", ()), ("after", ("compliance:rig:stiffness=8e6",))):
-        secret = secret_machine_and_truth_file.draw_machine(
+        secret = random_true_machine_and_truth_file.random_true_machine(
             design, np.random.default_rng(7), 1.0, tuple(parse_effect(text) for text in load)
         )
         recording_simulation.write_recording(
@@ -259,7 +266,7 @@ def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
 def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     rng = np.random.default_rng(4)
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
-    secret = secret_machine_and_truth_file.draw_machine(
+    secret = random_true_machine_and_truth_file.random_true_machine(
         design, rng, 1.0, (unlisted_effects_and_corner_noise.UnevenPrint("markers", tuple(scales)),)
     )
     recording_simulation.write_recording(

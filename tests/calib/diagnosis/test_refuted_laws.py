@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit, delta_chi2_and_rank_by_column_count
-from calib.diagnosis.engine.reduced_least_squares import Normal, solve_normal_equations
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import (
+    LackOfFit,
+    delta_chi2_and_rank_by_column_count,
+)
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import Normal, solve_normal_equations
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning import plan
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file, unlisted_effects_and_corner_noise
+from synthetic import random_true_machine_and_truth_file, recording_simulation, unlisted_effects_and_corner_noise
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
 from tests.calib.rigs_with_unmodelled_physics import measured_by
@@ -34,7 +37,7 @@ def seen(tmp_path_factory, rig_text):
         rng, to = np.random.default_rng(5), folder / f"{effect.name}"
         recording_simulation.write_recording(
             recording_simulation.simulate_world(
-                secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (effect,)),
+                random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, (effect,)),
                 plan.build_plan(design, PLAN, 5),
                 rng,
             ),

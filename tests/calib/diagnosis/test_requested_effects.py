@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue.screw_coupling import ScrewCoupling
 from rig.effects.framework.effect import Parameter
 from rig.errors import RigError

@@ -5,7 +5,7 @@ much.
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.confirmation_against_alternatives import find_alternatives
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import find_alternatives
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.reduced_least_squares import sinusoid_sums
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import sinusoid_sums
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,16 @@ import pytest
 
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import tolerance_sigmas_from_residuals
-from calib.diagnosis.problems.platform.simultaneous_refinement import (
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     Refinement,
     refine_at_fixed_repeated_corner_error,
     refine_operating_point,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_model_and_significance import (
+    tolerance_sigmas_from_residuals,
 )
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
     parameter_errors_per_tolerance_deviation,
@@ -25,9 +27,9 @@ from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives im
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.arm_hands_effect_places_and_tolerances import SIDES
-from synthetic import blind_cases
+from synthetic import random_blind_platform_cases_with_truth
 from tests.calib.recordings_with_effects import recorded
 
 ROUTE, SCALE, SIDE = "sobol:24", "print_scale:markers:scale=2e-3", 1e-4
@@ -44,7 +46,7 @@ def fitted(folder, design, printed):
 
 def larger(k, place, by):
     """The OperatingPoint with one marker's corners seen where they are on a larger one."""
-    one = blind_cases.Printing(
+    one = random_blind_platform_cases_with_truth.Printing(
         "markers",
         (0.0,) * (2 * len(k.observed.markers.id)),
         tuple(by * (k.observed.markers.id == int(place.split()[1]))),
@@ -60,9 +62,9 @@ def test_sides_of_single_markers_make_the_side_of_all_less_sure(tmp_path, design
     """A marker's side moves the scale of all as a fit to corners so moved finds it; they vary as much as the recording
     shows, not as is tolerated.
     """
-    prints = blind_cases.draw_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
+    prints = random_blind_platform_cases_with_truth.random_printing_errors(design, np.random.default_rng(3), 3e-6, SIDE)
     refined, sensitivities = fitted(tmp_path, design, [prints])
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(refined.marginalised, sensitivities)
+    found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(refined.marginalised, sensitivities)
     sigma = tolerance_sigmas_from_residuals(found.projected(refined.marginalised), found)
     singles = {s.place: s.columns.start for s in found.sites if s.effect == "print_scale" and s.place != "markers"}
     together = next(s.columns for s in found.sites if s.place == "markers")

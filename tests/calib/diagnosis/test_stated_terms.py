@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NotTested, StatedTerms
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import NotTested, StatedTerms
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,
 )
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import evidence_sentence
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect_and_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect_and_place
 from rig.errors import NotEnoughData, RigError
 from rig.recording.frame_selection_and_content_hashes import remove_frames
 from tests.calib.diagnose_recording import diagnosis_of

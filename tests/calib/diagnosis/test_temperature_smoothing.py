@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 
 from calib.api.diagnose import diagnose
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    smoothed_temperatures_and_errors,
+)
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
+    refine_operating_point,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
     parameter_errors_by_temperature_logs,
 )
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.cli import command_line
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.recording.recording_folder import Sensors, load_recording
-from synthetic.secret_machine_and_truth_file import draw_temperatures
+from synthetic.random_true_machine_and_truth_file import random_true_and_logged_temperatures
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded
 
@@ -28,8 +32,8 @@ FAR = 2.0  # standard deviations: what is farther off, the scatter of its strut 
 def test_a_smooth_temperature_loses_most_of_its_noise():
     errors = []
     for seed in range(20):
-        true, log = draw_temperatures(2400, np.random.default_rng(seed))
-        smoothed, _ = smooth_temperatures(log)
+        true, log = random_true_and_logged_temperatures(2400, np.random.default_rng(seed))
+        smoothed, _ = smoothed_temperatures_and_errors(log)
         errors += [[np.std(s.channels[name] - true.channels[name]) for s in (log, smoothed)] for name in true.channels]
     before, after = np.sqrt(np.mean(np.square(errors), axis=0))
     assert after < 0.45 * before and before == pytest.approx(0.03, rel=0.05)
@@ -39,8 +43,8 @@ def test_a_smooth_temperature_loses_most_of_its_noise():
 def test_a_short_log_is_a_line_rather_than_its_noise(seconds):
     errors, stated = [], []
     for seed in range(40):
-        true, log = draw_temperatures(seconds, np.random.default_rng(seed))
-        smoothed, off = smooth_temperatures(log)
+        true, log = random_true_and_logged_temperatures(seconds, np.random.default_rng(seed))
+        smoothed, off = smoothed_temperatures_and_errors(log)
         for name in off:
             errors.append([np.mean((s.channels[name] - true.channels[name]) ** 2) for s in (log, smoothed)])
             stated.append(np.mean(np.sum(off[name] ** 2, axis=1)))
@@ -56,14 +60,17 @@ def test_what_is_not_smooth_stays(name):
         size=100
     )  # a door opens, a load is put on
     for values in (step, np.round(np.linspace(0, 0.3, 100), 1), np.full(100, 20.0)):
-        np.testing.assert_array_equal(smooth_temperatures(Sensors(t, {name: values}))[0].channels[name], values)
+        np.testing.assert_array_equal(
+            smoothed_temperatures_and_errors(Sensors(t, {name: values}))[0].channels[name], values
+        )
 
 
 def test_few_rows_and_no_log_stay():
-    assert smooth_temperatures(None) == (None, {})
+    assert smoothed_temperatures_and_errors(None) == (None, {})
     few = Sensors(np.arange(5) * 30.0, {"ambient_temperature_C": np.array([20, 20.1, 20.05, 20.2, 20.1])})
     np.testing.assert_array_equal(
-        smooth_temperatures(few)[0].channels["ambient_temperature_C"], few.channels["ambient_temperature_C"]
+        smoothed_temperatures_and_errors(few)[0].channels["ambient_temperature_C"],
+        few.channels["ambient_temperature_C"],
     )
 
 

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NO_STATED_TERMS
-from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_common_weights
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import NO_STATED_TERMS
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import normal_equations_by_common_weights
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, linearise
@@ -21,10 +21,10 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     corner_displacement_normal_equations_by_frame,
     score_candidates,
 )
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
 from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES, Place
-from synthetic import blind_cases
+from synthetic import random_blind_platform_cases_with_truth
 from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 
@@ -35,7 +35,9 @@ ROUTE, PRINTED = (
 
 
 def printed(design, place, side, seed=1):
-    return blind_cases.draw_printing_errors(design, np.random.default_rng(seed), place, side)
+    return random_blind_platform_cases_with_truth.random_printing_errors(
+        design, np.random.default_rng(seed), place, side
+    )
 
 
 @pytest.mark.parametrize(
@@ -76,12 +78,14 @@ def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, d
 def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     assert (
-        not marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
-        and marker_and_thermometer_tolerance_columns.significant_tolerances(model, found) == []
+        not marker_and_thermometer_tolerance_model_and_significance.tolerances_explain_residuals(
+            found.projected(model), found.sigma
+        )
+        and marker_and_thermometer_tolerance_model_and_significance.significant_tolerances(model, found) == []
     )
-    tolerant = marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
+    tolerant = marker_and_thermometer_tolerance_model_and_significance.model_with_tolerances(model, found)
     assert tolerant.size <= model.size and tolerant.linear.cost() <= model.linear.cost()
     basis, closures = tolerant.linear.columns.parts, tolerant.closure_residual
     assert np.abs(basis[0].T @ tolerant.corner_residual + basis[CLOSURES].T @ closures).max() < 1e-6
@@ -92,13 +96,15 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     scale = effect_list.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
     point = operating_point_of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     seen = model.linear.project(found.column(model))
     best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
-    assert marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(found.projected(model), found.sigma)
-    assert marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found).linear.cost() == pytest.approx(
-        model.linear.cost() - seen.right @ best, rel=1e-9
+    assert marker_and_thermometer_tolerance_model_and_significance.tolerances_explain_residuals(
+        found.projected(model), found.sigma
     )
+    assert marker_and_thermometer_tolerance_model_and_significance.model_with_tolerances(
+        model, found
+    ).linear.cost() == pytest.approx(model.linear.cost() - seen.right @ best, rel=1e-9)
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
 
 
@@ -106,7 +112,7 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
 def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     written, short = model.linear.project(found.column(model)), found.projected(model)
     assert short.onto == pytest.approx(written.onto, abs=1e-9 * np.abs(written.onto).max())
     assert short.right == pytest.approx(written.right, abs=1e-9 * np.abs(written.right).max())
@@ -117,14 +123,14 @@ def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design)
 def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_them(tmp_path, design):
     point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(model, sensitivities)
+    found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS))
-    with_tolerances = marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
+    with_tolerances = marker_and_thermometer_tolerance_model_and_significance.model_with_tolerances(model, found)
     for candidate in candidates:
         alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, with_tolerances))
         if alone.node == both.node:  # else two sizes are compared
             column = candidate_column(model, candidate, alone.node, sensitivities)
-            share = marker_and_thermometer_tolerance_columns.share_not_explained_by_tolerances(
+            share = marker_and_thermometer_tolerance_model_and_significance.share_not_explained_by_tolerances(
                 model, found, column, not len(alone.coefficients)
             )
             assert share * alone.delta_chi2 * alone.dispersion == pytest.approx(
@@ -167,8 +173,10 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     )
     problem = PlatformProblem(point, candidates)
     fit = problem.start()
-    found = marker_and_thermometer_tolerance_columns.tolerance_model(fit.refined.model, problem.sensitivities)
-    assert marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(
+    found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(
+        fit.refined.model, problem.sensitivities
+    )
+    assert marker_and_thermometer_tolerance_model_and_significance.tolerances_explain_residuals(
         found.projected(fit.refined.model), found.sigma
     )
     best = problem.search(problem.residual(fit), candidates)[0]

@@ -12,7 +12,11 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.pose_noise_excess import MISSTATED, PoseResiduals, noise_covariance_by_kind, noise_factors
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report, diagnosis_verdict, summary_sentence
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+    diagnosis_report,
+    diagnosis_verdict,
+    summary_sentence,
+)
 from rig.cli import command_line
 from rig.recording.recording_folder import load_recording
 from rig.report.verdict_refutations_and_result_display import State

@@ -11,14 +11,14 @@ from calib.api import calibrate as calibrating
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.api.correct import CorrectOptions, correct
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_evidence
-from calib.correction.physics_compensation import Unknown
-from calib.diagnosis.findings_refit import Findings
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Unknown
+from calib.diagnosis.geometry_refitted_with_diagnosed_effects import Findings
 from calib.files import calibration_file
 from calib.samples.pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import effects_with_coordinates
+from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.recording_folder import load_recording
-from rig.recording.recording_tables import Poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 from tests.calib.odd_machines import OddMachine, odd_laws, without_remainder
 from tests.truth import case as cases

@@ -7,7 +7,7 @@ import pytest
 
 import calib
 import rig
-from calib.diagnosis.problems.platform.vibration_frequency import (
+from calib.diagnosis.problems.platform.platform_vibration_frequency_search import (
     COMB,
     _bins,
     _mirrors_of_slow_changes,

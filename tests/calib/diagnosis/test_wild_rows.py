@@ -12,12 +12,12 @@ from calib.certification.platform_certification import certify_platform, platfor
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.problems.arm import arm_recording_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
 from calib.identify.bounded_least_squares_and_robust_fit import (
     MOST,
-    has_several_deviating_numbers,
     isolated_outlier_rows,
     robust_fit,
+    rows_with_several_deviating_or_one_gross_number,
     tail_quantile_ratio_to_normal_within_gate,
 )
 from calib.models.arm.certification import certify_arm as arm_certify
@@ -271,7 +271,7 @@ def test_what_one_strut_does_alone_is_not_wild():
     left = np.random.default_rng(2).normal(size=(40, 6))
     left[7, 2] = 15.0
     left[9] += 15.0
-    assert np.flatnonzero(has_several_deviating_numbers(left, 7.0)).tolist() == [9]
+    assert np.flatnonzero(rows_with_several_deviating_or_one_gross_number(left, 7.0)).tolist() == [9]
 
 
 @pytest.mark.slow

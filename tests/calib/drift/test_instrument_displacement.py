@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from calib.api.recording_check_combination_and_view import remove_instrument_displacement
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp
 from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.combined_recordings import first_recording_by_camera, join_recordings
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 
 MOVED = np.array([1e-3, -5e-4, 2e-3, 1e-3, 0, -2e-3])
 
@@ -26,7 +26,7 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
     )
     rng = np.random.default_rng(3)
     stated = replace(design, instrument=Instrument("rig", "rig", 1e-5, 2e-5))
-    secret = secret_machine_and_truth_file.draw_machine(stated, rng)
+    secret = random_true_machine_and_truth_file.random_true_machine(stated, rng)
     parts = []
     for k in range(2):
         done = recording_simulation.simulate_world(secret, plan.build_plan(stated, "sobol:40", seed=k), rng)

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction, calibrate_correction
-from calib.drift.visit_configurations import choose_visit_configurations
+from calib.correction.correction import Correction, fit_geometry_and_remainder_of_correction
+from calib.drift.choice_and_order_of_visit_configurations import choose_visit_configurations
 from calib.drift.visit_history import History, add_visit_and_judge_change, read_history, write_history
 from calib.models.arm.certification import calibrate_arm
 from calib.models.chain.error_model_and_identification import identify_chain
@@ -17,8 +17,8 @@ from calib.samples.pose_samples import sample_recording
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning import plan
 from rig.recording import recording_folder
+from synthetic import random_true_machine_and_truth_file as world
 from synthetic import recording_simulation
-from synthetic import secret_machine_and_truth_file as world
 from tests.conftest import ROOT
 from tests.gantry_and_hexapod import written
 from tests.rig.arms import SEVEN, UR10
@@ -67,7 +67,7 @@ class Watched:
         self.folder, path = folder, rig_toml(which, folder)
         self.design, self.text = design_from_rig_toml.load_design(path), path.read_text()
         self.rng = np.random.default_rng(5)
-        self.secret = world.draw_machine(self.design, self.rng)
+        self.secret = world.random_true_machine(self.design, self.rng)
         self.first_route = plan.build_plan(self.design, "sobol:80", 1)
         self.first = self.recording("first", self.first_route)
         samples, m = sample_recording(self.first).samples, self.design.mechanism
@@ -77,7 +77,7 @@ class Watched:
             found = identify_chain(samples, m)
             correction = Correction(m, found.chain, (None,) * len(m.axes))
         else:
-            correction, found = calibrate_correction(samples, m, "none")
+            correction, found = fit_geometry_and_remainder_of_correction(samples, m, "none")
         self.calibration = Calibration(correction, found.covariance, found.scatter, (), (), None, {})
         chosen = choose_visit_configurations(self.calibration, self.design, 12)
         self.route = plan.plan_of_configurations(

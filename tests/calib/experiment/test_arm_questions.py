@@ -13,14 +13,14 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import l
 from calib.experiment.arm_diagnosis_questions_and_predicted_recording import open_questions_of_arm_diagnosis
 from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning import configuration_generators, plan
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.closed_loops import simulate_with_truth
 
@@ -40,7 +40,9 @@ def found(tmp_path_factory):
         plan.planned_axis_speeds(design),
     )
     done = recording_simulation.simulate_world(
-        secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect(FRICTION),)), straight, rng
+        random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, (parse_effect(FRICTION),)),
+        straight,
+        rng,
     )
     recording_simulation.write_recording(done, at / "rec", shipped_arms_and_layouts.shipped_arm_rig_toml("scara"), rng)
     read = recording_folder.load_recording(at / "rec")

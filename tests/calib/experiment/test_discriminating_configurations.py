@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.api.next_experiment import CHOSEN, available_plans
+from calib.api.next_experiment import CHOSEN, available_experiment_plan_texts
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
+    refine_operating_point,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,
     PerFrame,
@@ -18,7 +20,7 @@ from calib.experiment.platform_diagnosis_questions import (
     PlatformQuestion,
     predicted_outcomes_of_two_likeliest_hypotheses,
 )
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.planning.plan import build_plan
 from tests.calib.recordings_with_effects import recorded
 
@@ -67,7 +69,7 @@ def test_more_than_there_are_cannot_be_chosen():
 
 
 def test_they_are_a_part_of_a_plan(design):
-    assert all(f"apart:{count}" in available_plans((), True) for count in CHOSEN)
+    assert all(f"apart:{count}" in available_experiment_plan_texts((), True) for count in CHOSEN)
     own = build_plan(design, "sobol:2", 3).commands.values[-2:]
     plan = build_plan(design, "apart:2,ladder:1", additional_parts={"apart:2": own})
     assert len(plan.t) == 2 + len(build_plan(design, "ladder:1").t)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calib.api.next_experiment import Experiment, available_plans, rank_experiments
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM
+from calib.api.next_experiment import Experiment, available_experiment_plan_texts, rank_experiments
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import PLATFORM
 from calib.experiment.experiment_questions_and_information import Prediction, experiment_information
 
 HALF, NOTHING = np.array([0.5, 0.5]), np.zeros(2)
@@ -66,10 +66,13 @@ def test_what_costs_less_comes_first_among_those_that_settle():
 
 
 def test_nothing_is_loaded_and_nothing_waits_unless_the_owner_allows():
-    assert not any("payload" in text or "wait" in text or "dwell" in text for text in available_plans((), False))
-    assert any("payload" in text for text in available_plans(("payload",), False)) and any(
-        "wait" in text for text in available_plans(("wait",), False)
+    assert not any(
+        "payload" in text or "wait" in text or "dwell" in text for text in available_experiment_plan_texts((), False)
+    )
+    assert any("payload" in text for text in available_experiment_plan_texts(("payload",), False)) and any(
+        "wait" in text for text in available_experiment_plan_texts(("wait",), False)
     )
     assert not any(
-        text.startswith(("moving", "zigzag", "dwell", "payload")) for text in available_plans(("wait", "payload"), True)
+        text.startswith(("moving", "zigzag", "dwell", "payload"))
+        for text in available_experiment_plan_texts(("wait", "payload"), True)
     )

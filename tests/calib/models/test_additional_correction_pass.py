@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.api.correction_over_configuration_or_pose_space import ExtendOptions, certify_correction_extension
+from calib.api.correction_extension_over_configuration_or_pose_space import ExtendOptions, certify_correction_extension
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import silent_progress
 from calib.correction.correction import Correction
-from calib.correction.interpolation.field_interface_and_combinations import SummedPasses
+from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import SummedPasses
 from calib.files import calibration_file
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from calib.models.arm.correction import ArmCorrection

@@ -11,13 +11,13 @@ from scipy.spatial.transform import RigidTransform
 import calib
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.correction.physics_compensation import Physics
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.machine_models import corrected_pose_covariance
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import design_from_rig_toml
@@ -25,9 +25,9 @@ from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement, shipped_arms_and_layouts
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
+from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
 from rig.recording.recording_folder import Sensors
-from rig.recording.recording_tables import Poses, write_poses
 from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 from tests import gantry_and_hexapod
 from tests.cli import command
@@ -142,14 +142,14 @@ def test_how_sure_each_pose_is_stands_beside_the_commands_of_every_machine(tmp_p
         )
     output = command(capsys)("correct", tmp_path / "c.json", "--poses", tmp_path / "w.csv", "--out", tmp_path / "k.csv")
     assert "stated standard uncertainty of the poses: 0.0" in output
-    stated = recording_tables.load_poses(tmp_path / "k.poses.csv", are_commands=True)
+    stated = corner_and_pose_csv_tables.load_poses(tmp_path / "k.poses.csv", are_commands=True)
     done = calib.correct(calibration, wanted)
     np.testing.assert_allclose(
         stated.covariance, corrected_pose_covariance(calibration, wanted, done.values), rtol=1e-6, atol=1e-18
     )
     np.testing.assert_allclose(stated.T_base_platform.as_matrix(), wanted.as_matrix(), atol=1e-9)
     with pytest.raises(FileError, match="not positive definite") if kind == "planar2" else nullcontext():
-        recording_tables.load_poses(tmp_path / "k.poses.csv")
+        corner_and_pose_csv_tables.load_poses(tmp_path / "k.poses.csv")
     assert (np.trace(stated.covariance[:, :3, :3], axis1=1, axis2=2) > 1e-12).all()
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from calib.online import filter_kernels_and_change_detection
-from calib.online.filter_kernels_and_change_detection import (
+from calib.online import information_filter_kernels_and_change_detection
+from calib.online.information_filter_kernels_and_change_detection import (
     WINDOW,
     Evidence,
     detect_changes,
@@ -46,8 +46,10 @@ def test_the_search_over_struts_and_onsets_is_paid_for():
 
 
 def test_quiet_poses_are_no_change(monkeypatch):
-    monkeypatch.setattr(filter_kernels_and_change_detection, "JUMP", jump_threshold(ALARM / 2))
-    monkeypatch.setattr(filter_kernels_and_change_detection, "MOVED", likelihood_ratio_thresholds(ALARM / 2))
+    monkeypatch.setattr(information_filter_kernels_and_change_detection, "JUMP", jump_threshold(ALARM / 2))
+    monkeypatch.setattr(
+        information_filter_kernels_and_change_detection, "MOVED", likelihood_ratio_thresholds(ALARM / 2)
+    )
     rng = np.random.default_rng(1)
     assert np.mean([bool(detect_changes(quiet(rng))) for _ in range(TRIALS)]) < ALARM + 3 * np.sqrt(ALARM / TRIALS)
 
@@ -56,6 +58,6 @@ def test_thresholds_grow_with_what_is_looked_at():
     assert jump_threshold(1e-6, 10) > jump_threshold(1e-6, 3) > jump_threshold(1e-5, 3)
     assert likelihood_ratio_thresholds(1e-6, 10)[3] > likelihood_ratio_thresholds(1e-6, 3)[3]
     assert pytest.approx((5.31, 48.36), abs=0.01) == (
-        filter_kernels_and_change_detection.JUMP,
-        filter_kernels_and_change_detection.MOVED[6],
+        information_filter_kernels_and_change_detection.JUMP,
+        information_filter_kernels_and_change_detection.MOVED[6],
     )

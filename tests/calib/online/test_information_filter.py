@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import frame_motion_columns
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    parameter_changes_by_base_and_platform_frame_motion,
+)
 from calib.models.platform.identification import identify_platform
 from calib.online.hexapod_information_filter import Online
 from calib.samples.pose_samples import Samples
@@ -99,7 +101,14 @@ def test_a_knocked_frame_is_told_from_the_struts(design):
     changes = [c for u in updates for c in u.changes]
     assert [c.kind for c in changes] == ["frame"] and changes[0].onset == 150
     assert (np.abs(changes[0].size - moved) < 4 * changes[0].sigma).all()
-    assert off(learner, geometric_parameters(poses.after) + frame_motion_columns(poses.after)[:, :6] @ moved) < 80
+    assert (
+        off(
+            learner,
+            geometric_parameters(poses.after)
+            + parameter_changes_by_base_and_platform_frame_motion(poses.after)[:, :6] @ moved,
+        )
+        < 80
+    )
 
 
 def test_two_struts_at_once(design):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certification import measuring_limb_identification_and_agreement
-from calib.certification.redundant_limb_checks import Limbs
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.online import accepted_limbs_file, measuring_limb_poses_checked_by_vision
+from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.hexapod_information_filter import Online
 from calib.online.measuring_limb_poses_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
 from calib.samples.pose_samples import sample_recording
@@ -32,17 +32,19 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_identification_and_agreement.limb_readings_at_exposures(read)
+    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(read)
     samples, nominal = (
-        measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(by_vision, frames, lengths),
-        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
+        measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+            by_vision, frames, lengths
+        ),
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
     )
-    T, expected = measuring_limb_identification_and_agreement.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_identification_and_agreement.limb_agreement(
+    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
-    return accepted_limbs_file.Accepted(
-        measuring_limb_identification_and_agreement.calibrate_limbs(samples, nominal, 1e-6)[0],
+    return accepted_measuring_limbs_file.Accepted(
+        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)[0],
         nominal,
         found,
         None,
@@ -66,15 +68,17 @@ def slipped(read, limb, by, at):
 
 def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     path = tmp_path / "limbs.json"
-    accepted_limbs_file.save_limbs(path, accepted)
-    back = accepted_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
+    accepted_measuring_limbs_file.save_limbs(path, accepted)
+    back = accepted_measuring_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
     np.testing.assert_array_equal(back.limbs.covariance, accepted.limbs.covariance)
     np.testing.assert_array_equal(back.limbs.hexapod.base_joints, accepted.limbs.hexapod.base_joints)
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
-    accepted_limbs_file.save_limbs(path, accepted_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped"))
+    accepted_measuring_limbs_file.save_limbs(
+        path, accepted_measuring_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped")
+    )
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
-        accepted_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
+        accepted_measuring_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
 
 
 @pytest.mark.parametrize(
@@ -109,32 +113,32 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
 )
 def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     path = tmp_path / "limbs.json"
-    accepted_limbs_file.save_limbs(path, accepted)
+    accepted_measuring_limbs_file.save_limbs(path, accepted)
     tree = json.loads(path.read_text())
     spoil(tree)
     path.write_text(json.dumps(tree))
     with pytest.raises(FileError, match=says) as error:
-        accepted_limbs_file.load_limbs(path)
+        accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(path)
     assert str(path) in str(error.value)
     path.write_text(json.dumps(tree)[:200])
     with pytest.raises(FileError, match="cut off"):
-        accepted_limbs_file.load_limbs(path)
+        accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(path)
 
 
 def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path):
     path, design = tmp_path / "limbs.json", limbed[0]
-    accepted_limbs_file.save_limbs(path, accepted)
+    accepted_measuring_limbs_file.save_limbs(path, accepted)
     moved = design.insitu.base_joints + 1e-4 * np.eye(6)[:, :1] * np.eye(3)[0]
     with pytest.raises(
         RigError, match="of other limbs than rig.toml states in .insitu.: base_joints of limb 1 differs by 0.1 mm"
     ):
-        accepted_limbs_file.load_accepted_limbs_for_design(
+        accepted_measuring_limbs_file.load_accepted_limbs_for_design(
             path, replace(design, insitu=replace(design.insitu, base_joints=moved))
         )
     refused = replace(accepted.agreement, tolerance=np.full(6, 1e-9))
-    accepted_limbs_file.save_limbs(path, replace(accepted, agreement=refused))
+    accepted_measuring_limbs_file.save_limbs(path, replace(accepted, agreement=refused))
     with pytest.raises(RigError, match="did not pass"):
-        accepted_limbs_file.load_accepted_limbs_for_design(path, design)
+        accepted_measuring_limbs_file.load_accepted_limbs_for_design(path, design)
 
 
 @pytest.mark.slow
@@ -178,14 +182,16 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, second_r
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limb_identification_and_agreement.samples_with_limb_readings_as_commands(
+        samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
             by_vision,
-            *measuring_limb_identification_and_agreement.limb_readings_at_exposures(slipped(read, limb, by, at)),
+            *measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(
+                slipped(read, limb, by, at)
+            ),
         )
-        limbs, _ = measuring_limb_identification_and_agreement.calibrate_limbs(
-            samples, measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design), 1e-6
+        limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(
+            samples, measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design), 1e-6
         )
-        found = measuring_limb_identification_and_agreement.detect_limb_slip(samples, limbs, 1e-6)
+        found = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (
             found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5

@@ -7,13 +7,13 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.online.live_learner_and_run_state import Learner, LimbWatch
+from calib.online.live_learner_limb_watch_run_state_and_display import Learner, LimbWatch
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import exp, transform_points
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 
 SIGMA = np.r_[np.full(3, 2e-6), np.full(3, 1e-5)]
 
@@ -22,7 +22,7 @@ SIGMA = np.r_[np.full(3, 2e-6), np.full(3, 1e-5)]
 def machine(design):
     """(stated, true Hexapod, commands (60, 6) m, a function that measures a pose)"""
     rng = np.random.default_rng(8)
-    true = secret_machine_and_truth_file.draw_machine(design, rng).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, rng).true.mechanism
     commands = sobol_configurations(design.mechanism.strut_range, 60, seed=2)
 
     def measured(command, longer=0.0):
@@ -63,7 +63,7 @@ def test_limbs_that_go_astray_are_said(tmp_path):
     (tmp_path / "rig.toml").write_text(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)))
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
-    true = secret_machine_and_truth_file.draw_machine(design, rng).true
+    true = random_true_machine_and_truth_file.random_true_machine(design, rng).true
     watch, alarms = LimbWatch(design), []
     for k, command in enumerate(sobol_configurations(design.mechanism.strut_range, 40, seed=2)):
         T = mechanisms.kinematics_of(true.mechanism).forward(command, true.mechanism)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.two_strut.four_sample_example_and_figures import (
+from calib.two_strut.two_strut_patent_example_and_figures import (
     L1,
     L2,
     NOMINAL,

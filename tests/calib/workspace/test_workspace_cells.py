@@ -10,12 +10,12 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import platform_pose_covariance
-from calib.correction.correction import Correction, calibrate_correction
+from calib.correction.correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.files import calibration_file
 from calib.models.arm.correction import ArmCorrection
 from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
-from calib.workspace.workspace_map_and_lost_poses import COLUMNS, map_workspace, workspace_rows
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import COLUMNS, map_workspace, workspace_rows
 from rig.errors import FileError
 from rig.model.design import Planar2
 from rig.model.mechanisms import hexapod
@@ -36,7 +36,7 @@ def same(T, commands):
 @pytest.fixture(scope="module")
 def calibrated(design):
     samples, _ = sampled(design, 3, 60)
-    correction, found = calibrate_correction(samples, design.mechanism)
+    correction, found = fit_geometry_and_remainder_of_correction(samples, design.mechanism)
     return calibration_with_workspace(
         Calibration(correction, found.covariance, found.scatter, (), (), None, {"seed": 0})
     )
@@ -138,7 +138,7 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
         workspace_page.SINGULAR,
         workspace_page.workspace_map_quantity_of_axis_margin("m"),
     ):
-        unit, seen = workspace_page.cell_views(w, q)
+        unit, seen = workspace_page.workspace_cell_views_unit_and_svg(w, q)
         assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(
             np.unique(w.index[:, [0, 2]], axis=0)
         )
@@ -146,13 +146,13 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
     column = (w.index[:, :2] == w.index[np.argmax(w.lost_in), :2]).all(axis=1)
     share = w.lost_in[column].sum() / w.believed[column].sum()
     assert (
-        f">{share * 100:.1f}</text>" in workspace_page.cell_views(w, workspace_page.LOST)[1]
-        or f">{share * 100:.0f}</text>" in workspace_page.cell_views(w, workspace_page.LOST)[1]
+        f">{share * 100:.1f}</text>" in workspace_page.workspace_cell_views_unit_and_svg(w, workspace_page.LOST)[1]
+        or f">{share * 100:.0f}</text>" in workspace_page.workspace_cell_views_unit_and_svg(w, workspace_page.LOST)[1]
     )
     coarse = replace(w, bound=w.bound * 1e3)
     assert (
-        workspace_page.cell_views(w, workspace_page.POSITION)[0] == "um"
-        and workspace_page.cell_views(coarse, workspace_page.POSITION)[0] == "mm"
+        workspace_page.workspace_cell_views_unit_and_svg(w, workspace_page.POSITION)[0] == "um"
+        and workspace_page.workspace_cell_views_unit_and_svg(coarse, workspace_page.POSITION)[0] == "mm"
     ), "three digits fit into a cell"
 
 

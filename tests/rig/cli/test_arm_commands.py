@@ -10,7 +10,7 @@ import pytest
 
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.pose import pose_difference
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
 from tests.cli import command
 
 
@@ -63,7 +63,7 @@ def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
         float(left[1]) == 0 and 0.05 < float(left[2]) < 0.3
     )  # the tracker's own 0.1 mrad, of which few joints can follow little
     poses, wanted_poses = (
-        recording_tables.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv")
+        corner_and_pose_csv_tables.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv")
     )
     rest = pose_difference(poses.T_base_platform, wanted_poses.T_base_platform)
     assert np.sqrt((rest[:, 3:] ** 2).sum(axis=1).mean()) * 1e3 == pytest.approx(float(left[2]), abs=1e-3)

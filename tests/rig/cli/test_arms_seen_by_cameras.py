@@ -14,7 +14,7 @@ from rig.model.mechanisms import arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
-from synthetic.secret_machine_and_truth_file import world_from_truth
+from synthetic.random_true_machine_and_truth_file import world_from_truth
 from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 from vision.recording_measurement import measure_recording
 
@@ -160,8 +160,8 @@ def test_a_plan_of_an_arm_takes_what_is_seen_and_tells_most(tmp_path, capfd):
 
 
 def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
-    from calib.diagnosis.effect_signal_to_noise_and_separation import effect_separation
-    from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+    from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import separation_of_two_effects_by_plan
+    from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
     from rig.planning.layout import shipped_arms_and_layouts
     from rig.planning.plan import build_plan
 
@@ -170,7 +170,9 @@ def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     for text in ("moving:40", "zigzag:40"):
         plan = build_plan(design, text, 3)
         for name, pair in (("two", [lag, late]), ("one", [lag, lag])):
-            found[text, name] = effect_separation(text, design, plan.commands, plan.t, None, pair, (2e-5, 1e-4)).misfit
+            found[text, name] = separation_of_two_effects_by_plan(
+                text, design, plan.commands, plan.t, None, pair, (2e-5, 1e-4)
+            ).misfit
     assert found["zigzag:40", "two"] > 20 and found["zigzag:40", "two"] > 3 * found["moving:40", "two"]
     assert found["zigzag:40", "one"] < 1e-3 * found["zigzag:40", "two"]
 

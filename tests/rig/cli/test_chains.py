@@ -14,7 +14,7 @@ from calib.models.chain import error_model_and_identification
 from calib.models.chain.error_model_and_identification import identify_chain
 from calib.samples.pose_samples import Samples, sample_recording
 from rig.cli import command_line
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin, machine_geometry_and_effects_json_file
 from rig.formats.rig_toml import design_from_rig_toml

@@ -122,7 +122,7 @@ def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp
     x = sobol_configurations(mechanism_chain.travel_ranges(m), 1, 0.9, 3)
     stages = mechanism_chain.stage_poses(x, m)
     poses = rig_meshes.mesh_body_matrices(m, [T[0] for T in stages])
-    parts = {part.body for part in rig_meshes.rig_parts(design)}
+    parts = {part.body for part in rig_meshes.rig_and_background_meshes(design)}
     assert {
         "stage 1",
         "platform",

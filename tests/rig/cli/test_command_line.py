@@ -16,12 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.cli import command_execution as cli
-from rig.cli.command_execution import command_line_parser
+from rig.cli import command_import_execution_and_exit_status as cli
+from rig.cli.command_import_execution_and_exit_status import command_line_parser
 from rig.cli.command_line import main
-from rig.cli.command_list import COMMANDS, EARLIER_NAMES, GROUPS
-from rig.cli.shared.argument_parser_and_option_values import join_negative_numbers, nearest_word, parse_length_and_angle
-from rig.cli.shared.output_display import Progress, progress_line
+from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS, EARLIER_NAMES, GROUPS
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    join_negative_numbers,
+    nearest_known_word_if_mistyped,
+    parse_length_and_angle,
+)
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress, progress_line
 from rig.compute import installation_inventory
 from rig.effects.catalogue.effect_list import ALL
 from rig.errors import RigError
@@ -64,9 +68,9 @@ def test_figures_that_begin_with_a_minus_are_no_option(words, joined):
 
 def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():
     assert (
-        nearest_word("measure", COMMANDS) is None
-        and nearest_word("qqqq", COMMANDS) is None
-        and nearest_word("--skip", ["--skip-unreadable"]) is None
+        nearest_known_word_if_mistyped("measure", COMMANDS) is None
+        and nearest_known_word_if_mistyped("qqqq", COMMANDS) is None
+        and nearest_known_word_if_mistyped("--skip", ["--skip-unreadable"]) is None
     )
 
 
@@ -132,7 +136,8 @@ def test_every_command_has_a_file_and_help():
 
 
 def test_no_option_takes_a_name_that_the_command_line_sets():
-    """What rig/cli/command_execution.py keeps among the arguments would stand in the place of what was asked for."""
+    """What rig/cli/command_import_execution_and_exit_status.py keeps among the arguments would stand in the place of
+    what was asked for."""
     tree = ast.parse(Path(cli.__file__).read_text())
     own = {
         node.attr
@@ -383,8 +388,8 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 def test_help_of_every_command_opens_no_library():
     code = (
-        "import sys; from rig.cli.command_execution import command_line_parser\n"
-        "from rig.cli.command_list import COMMANDS; command_line_parser(COMMANDS)\n"
+        "import sys; from rig.cli.command_import_execution_and_exit_status import command_line_parser\n"
+        "from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS; command_line_parser(COMMANDS)\n"
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

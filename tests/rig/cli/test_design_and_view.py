@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import pose_difference
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
 from tests.cli import Links, run
 from tests.conftest import BENCH
 
@@ -38,7 +38,7 @@ def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
         truth["effects"][0]["parameters"] == {"gap": 4e-5} and len(truth["poses"]) == 12 and truth["noise_px"] == 0.03
     )
     run("measure", tmp_path / "rec", "--out", tmp_path / "out")
-    poses = recording_tables.load_poses(tmp_path / "out" / "poses.csv")
+    poses = corner_and_pose_csv_tables.load_poses(tmp_path / "out" / "poses.csv")
     errors = pose_difference(
         poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4))
     )

@@ -16,12 +16,12 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
 from calib.files.calibration_file import save
-from rig.driving.controller_lock import ControllerLock
+from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.cli import run
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig, runner
@@ -44,7 +44,7 @@ def rig(emulated):
 def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
     nominal = design_from_rig_toml.load_design(rig).mechanism
-    fitted = secret_machine_and_truth_file.draw_machine(
+    fitted = random_true_machine_and_truth_file.random_true_machine(
         design_from_rig_toml.load_design(rig), np.random.default_rng(4)
     ).true.mechanism
     path = emulated.folder / "calibration.json"

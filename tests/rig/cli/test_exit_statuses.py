@@ -4,14 +4,19 @@ import re
 
 import pytest
 
-from rig.cli.command_execution import command_line_parser, functions_of_command
-from rig.cli.command_list import COMMANDS, STATUSES, exit_status_text, exit_statuses
+from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command, command_line_parser
+from rig.cli.command_names_groups_summaries_and_exit_statuses import (
+    COMMANDS,
+    STATUSES,
+    exit_status_meanings,
+    exit_status_text,
+)
 from tests.conftest import ROOT
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_documented_exit_status_of_a_command_is_listed(command):
-    run = functions_of_command(command)[1]
+    run = argument_adder_and_runner_of_command(command)[1]
     documented = [int(status) for status in re.findall(r"[Ee]xit status (\d+)", run.__doc__)]
     listed = [STATUSES[command][0]] if command in STATUSES else []
     assert documented == listed and (run.__annotations__["return"] in (int, "int")) == bool(listed)
@@ -21,8 +26,8 @@ def test_the_documented_exit_status_of_a_command_is_listed(command):
 
 def test_the_lists_of_help_and_documents_have_every_status():
     page = re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", (ROOT / "docs" / "files.md").read_text(encoding="utf-8"))
-    for status, meaning in exit_statuses().items():
+    for status, meaning in exit_status_meanings().items():
         assert f"| `{status}` | {meaning} |\n" in page
         assert f"  {status:<8}  {meaning[:10].replace('`', '')}" in exit_status_text(80)
-    assert {str(status) for status, _ in STATUSES.values()} < set(exit_statuses())
-    assert [command for command in STATUSES if f"`rig {command}`" not in "".join(exit_statuses().values())] == []
+    assert {str(status) for status, _ in STATUSES.values()} < set(exit_status_meanings())
+    assert [command for command in STATUSES if f"`rig {command}`" not in "".join(exit_status_meanings().values())] == []

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from calib.api.workspace_change_by_calibration import load_certificate
-from calib.diagnosis import findings_refit
+from calib.diagnosis import geometry_refitted_with_diagnosed_effects
 from calib.drift import visit_history
 from calib.experiment import investigation_folder_and_report
 from calib.files import calibration_file
-from calib.online import accepted_limbs_file, filter_state
+from calib.online import accepted_measuring_limbs_file, information_filter_state_steps_and_json_file
 from calib.online import forgetting_least_squares_kalman_and_gradient_learners as learners
 from rig.cli.command_line import main
 from rig.effects.texts.effect_file_from_formula import load_suggested_formula
@@ -63,7 +63,9 @@ def listed(path: Path) -> None:
 def held(path: Path) -> None:
     """A diagnosis that is to be taken into a calibration."""
     path.rename(path.parent / "diagnosis.json")
-    findings_refit.load_findings(path.parent, recording_folder.load_recording(DATA / "bench" / "check"))
+    geometry_refitted_with_diagnosed_effects.load_findings(
+        path.parent, recording_folder.load_recording(DATA / "bench" / "check")
+    )
 
 
 def suggesting(path: Path) -> None:
@@ -81,8 +83,8 @@ def refuted(path: Path) -> None:
 
 READERS = {  # schema: what reads such files
     "calibration/3": (calibration_file.load,),
-    "limbs/1": (accepted_limbs_file.load_limbs,),
-    "online/1": (filter_state.load_filter_state,),
+    "limbs/1": (accepted_measuring_limbs_file.load_limbs_whatever_their_verdict,),
+    "online/1": (information_filter_state_steps_and_json_file.load_filter_state,),
     "learner/1": (learners.load_learner,),
     "watch/1": (lambda path: visit_history.read_history(path, ""),),
     "diagnosis/1": (held, suggesting),
@@ -162,12 +164,12 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     path = written("limbs-1.json", tmp_path)
     tree = json.loads(path.read_text())
     assert "chosen" not in tree and "checks" not in tree
-    found = accepted_limbs_file.load_limbs(path)
+    found = accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(path)
     assert (
         found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
     )
     np.testing.assert_array_equal(found.limbs.hexapod.base_joints, tree["limbs"]["base_joints"])
-    accepted_limbs_file.save_limbs(tmp_path / "again.json", found)
+    accepted_measuring_limbs_file.save_limbs(tmp_path / "again.json", found)
     result = json.loads((tmp_path / "again.json").read_text())
     assert result.pop("chosen") == [1, 2, 3, 4, 5, 6] and result.pop("checks") == [] and result == tree
 
@@ -206,7 +208,7 @@ def test_a_diagnosis_of_before_there_were_suggestions_is_taken(tmp_path):
     written("machine-1.json", tmp_path).rename(tmp_path / "machine.json")
     assert "suggestions" not in json.loads((tmp_path / "diagnosis.json").read_text())
     (tmp_path / "rig.toml").write_bytes(gzip.decompress((DATA / "written" / "rig.toml.gz").read_bytes()))
-    found = findings_refit.load_findings(tmp_path, recording_of(tmp_path))
+    found = geometry_refitted_with_diagnosed_effects.load_findings(tmp_path, recording_of(tmp_path))
     assert [(effect.name, effect.place) for effect in found.effects] == [("backlash", "strut 3")]
 
 

@@ -14,7 +14,7 @@ import pytest
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.recording import recording_folder, recording_tables
+from rig.recording import corner_and_pose_csv_tables, recording_folder
 from tests.cli import RIG, Links, run, run_process
 from tests.conftest import BENCH, make_recording
 
@@ -35,7 +35,7 @@ def test_measure_writes_what_the_contract_says(worked):
     out = base / "measured"
     header = (out / "poses.csv").read_text().splitlines()[0].split(",")
     assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(
-        recording_tables.COVARIANCE_COLUMNS
+        corner_and_pose_csv_tables.COVARIANCE_COLUMNS
     )
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
     nominal, adjusted = (
@@ -117,7 +117,9 @@ def test_calibration_corrects_the_true_machine(worked, tmp_path):
         secret.stated.mechanism.strut_range.mean(axis=1) + 0.02 * np.random.default_rng(0).uniform(-1, 1, (30, 6)),
         secret.stated.mechanism,
     )
-    recording_tables.write_poses(tmp_path / "wanted.csv", recording_folder.Poses(np.arange(30) * 2, wanted, None))
+    corner_and_pose_csv_tables.write_poses(
+        tmp_path / "wanted.csv", recording_folder.Poses(np.arange(30) * 2, wanted, None)
+    )
     run("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
     lines = (tmp_path / "commands.csv").read_text().splitlines()
     assert lines[0] == "frame,l1,l2,l3,l4,l5,l6" and [int(line.split(",")[0]) for line in lines[1:]] == list(
@@ -318,6 +320,8 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     assert "2 markers are not as in rig.toml" in done.stdout and message in done.stdout
     assert message in (tmp_path / "out/report.html").read_text()
     assert (
-        np.abs(pose_difference(recording_tables.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max()
+        np.abs(
+            pose_difference(corner_and_pose_csv_tables.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)
+        ).max()
         < 1e-3
     )

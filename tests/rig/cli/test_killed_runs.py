@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal
-from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_journal_rows_and_valid_length
+from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS
 from rig.planning.plan import build_plan
@@ -74,7 +74,7 @@ def reported(log):
 
 def check(emulated, out, before, log, seen):
     """What must hold of a run that was killed and resumed. seen : frames reported before it was killed"""
-    rows, _ = read_journal(out / "journal.jsonl")
+    rows, _ = read_journal_rows_and_valid_length(out / "journal.jsonl")
     design = design_from_rig_toml.load_design(out / "rig.toml")
     planned = steps_of_plan(build_plan(design, PLAN))
     assert isinstance(rows[-1], Ended) and rows[-1].reason == "", log.read_text()
@@ -101,7 +101,7 @@ def campaign(emulated, folder, count, rng):
     log = folder / "log"
     whole = folder / "whole"
     finished(folder, whole, False, log)
-    duration, hit = read_journal(whole / "journal.jsonl")[0][-1].t, 0
+    duration, hit = read_journal_rows_and_valid_length(whole / "journal.jsonl")[0][-1].t, 0
     while hit < count:
         out, log = folder / "rec", folder / "log"
         shutil.rmtree(out, ignore_errors=True)

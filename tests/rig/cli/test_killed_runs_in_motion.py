@@ -7,8 +7,15 @@ import shutil
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Arrival, Ended, Exposed, PositionReports, Resumed, read_journal
-from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.run_journal import (
+    Arrival,
+    Ended,
+    Exposed,
+    PositionReports,
+    Resumed,
+    read_journal_rows_and_valid_length,
+)
+from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
@@ -34,7 +41,7 @@ def started(folder, out, resume=False):
 
 
 def check(folder, out):
-    rows, _ = read_journal(out / "journal.jsonl")
+    rows, _ = read_journal_rows_and_valid_length(out / "journal.jsonl")
     assert isinstance(rows[-1], Ended) and rows[-1].reason == "", (folder / "log").read_text()
     planned = steps_of_plan(build_plan(design_from_rig_toml.load_design(out / "rig.toml"), PLAN))
     reached = [row.step for row in rows if isinstance(row, Arrival) and row.reached]

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.arm_kinematics import ArmKinematics
-from calib.api.platform_kinematics import PlatformKinematics
+from calib.api.nominal_and_calibrated_platform_kinematics import PlatformKinematics
 from calib.correction.correction import Correction
 from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.identification_and_joint_profiles import Profile

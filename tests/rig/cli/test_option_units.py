@@ -5,16 +5,19 @@ import argparse
 import numpy as np
 import pytest
 
-from rig.cli.command_execution import functions_of_command
+from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command
 from rig.cli.correct import _start
-from rig.cli.shared.argument_parser_and_option_values import join_negative_numbers, parse_length_and_angle
-from rig.driving.axis_units_and_distances import MM_AND_DEGREES, parse_axis_values
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    join_negative_numbers,
+    parse_length_and_angle,
+)
+from rig.driving.axis_display_units_and_controller_counts import MM_AND_DEGREES, parse_axis_values
 from rig.driving.driver_opening_and_settling import parse_settling
-from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorOptions
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import EmulatorOptions
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, parse_quantity
-from rig.model.calibration_board import parse_board
+from rig.model.calibration_board_layout_and_description_parsing import parse_board
 
 
 def option(command, *words):
@@ -22,7 +25,7 @@ def option(command, *words):
 
     def parse(text):
         parser = argparse.ArgumentParser(exit_on_error=False)
-        functions_of_command(command)[0](parser)
+        argument_adder_and_runner_of_command(command)[0](parser)
         *others, name = words
         given = join_negative_numbers([*others, f"--{name}", *text.split()])
         return getattr(parser.parse_args(given), name.replace("-", "_"))

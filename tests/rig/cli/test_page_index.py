@@ -15,7 +15,7 @@ from calib.report.pose_and_effect_figures import (
     pose_displacements_by_effect_at_several_sizes,
 )
 from rig.cli.command_line import main
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.output_files import MANIFEST, CommandOutputs
 from rig.planning import plan
 from rig.report.pages.page_templates_and_index_page import (
@@ -25,7 +25,7 @@ from rig.report.pages.page_templates_and_index_page import (
     write_index_page,
     write_page,
 )
-from rig.report.pages.project_stages import date_text, list_project_files
+from rig.report.pages.project_stages_and_files_without_pages import date_text, list_project_files
 from rig.report.verdict_refutations_and_result_display import State, Verdict
 from tests.conftest import ROOT
 

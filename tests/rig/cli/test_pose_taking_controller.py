@@ -13,12 +13,12 @@ import pytest
 from rig.cli.command_line import main
 from rig.driving import emulators
 from rig.driving.clock import SystemClock
-from rig.driving.emulators import controller_emulator_opening_and_ports
-from rig.driving.emulators.emulated_axes_and_faults import Faults
+from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import pose
-from rig.recording.recording_tables import Poses, write_poses
-from synthetic import secret_machine_and_truth_file
+from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
+from synthetic import random_true_machine_and_truth_file
 from tests.calib.rigs_with_unmodelled_physics import measured_by
 from tests.conftest import ROOT
 from tests.truth import kinematics, rigid
@@ -47,17 +47,17 @@ class Bench:
         stated = stated.replace("max_speed = 0.005", FAST).rstrip() + "\n"
         (folder / "rig.toml").write_text(measured_by(None, *SIGMA) + stated + lines)
         design = design_from_rig_toml.load_design(folder / "rig.toml")
-        true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(4)).true.mechanism
+        true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(4)).true.mechanism
         ranges, height = design.mechanism.strut_range, design.mechanism.home.translation[2]
         self.machine = kinematics.SixStruts(
             true.base_joints, true.platform_joints, true.strut_zeros, ranges, float(height)
         )
         self.emulator = emulators.emulator_of_design(design, Faults((), np.random.default_rng(0)), SystemClock())
         self.emulator.platform.pivot = np.array(pivot) / 1e3
-        wire = controller_emulator_opening_and_ports.Terminal(folder / "port")
+        wire = emulator_opening_and_serving_over_terminal_or_tcp.Terminal(folder / "port")
         self.emulator.greet = lambda: None  # the power is on, and the pivot point set
         self._thread = threading.Thread(
-            target=controller_emulator_opening_and_ports.serve_emulator,
+            target=emulator_opening_and_serving_over_terminal_or_tcp.serve_emulator,
             args=(self.emulator, wire, lambda: self._running, lambda name: None, lambda: None),
             daemon=True,
         )

@@ -3,7 +3,7 @@
 import io
 import time
 
-from rig.cli.shared.output_display import Progress
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
 
 
 class Terminal(io.StringIO):

@@ -10,7 +10,7 @@ from calib.files import calibration_file
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.plan import axis_strokes
-from rig.recording import recording_tables
+from rig.recording import corner_and_pose_csv_tables
 from tests.cli import command
 from tests.conftest import BENCH
 
@@ -31,7 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed, name in enumerate(("sorted", "other")):
         values = sobol_configurations(axis_strokes(design), 60, seed=seed)
         strut = np.argsort(values[:, 0])
-        recording_tables.write_configurations(base / f"{name}.csv", design.mechanism.axes, values[strut])
+        corner_and_pose_csv_tables.write_configurations(base / f"{name}.csv", design.mechanism.axes, values[strut])
         assert not main(
             [
                 "simulate",

@@ -14,7 +14,7 @@ import time
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Ended, Exposed, read_journal
+from rig.driving.run_journal import Ended, Exposed, read_journal_rows_and_valid_length
 from rig.recording import recording_folder
 from tests.cli import RIG, run
 from tests.emulated_run import EmulatedRig
@@ -67,7 +67,7 @@ class Operator:
 
 
 def exposed(out):
-    return [row for row in read_journal(out / "journal.jsonl")[0] if isinstance(row, Exposed)]
+    return [row for row in read_journal_rows_and_valid_length(out / "journal.jsonl")[0] if isinstance(row, Exposed)]
 
 
 def press(address, path):
@@ -94,7 +94,9 @@ def test_enter_goes_on_and_a_reading_becomes_a_pose(rig, tmp_path):
     at.sees("frame 1 stands")
     at.types("\x03")
     assert at.ends() == 128 + signal.SIGINT
-    assert isinstance(read_journal(out / "journal.jsonl")[0][-1], Ended) and len(exposed(out)) == 1
+    assert (
+        isinstance(read_journal_rows_and_valid_length(out / "journal.jsonl")[0][-1], Ended) and len(exposed(out)) == 1
+    )
     again = Operator("run", rig, *ASK, "--out", out, "--resume")
     again.sees("frame 1 stands")
     again.types("\n")

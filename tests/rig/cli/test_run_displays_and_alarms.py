@@ -10,19 +10,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_identification_and_agreement
-from calib.online.accepted_limbs_file import Accepted
-from calib.online.live_learner_and_run_state import Learner
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.online.accepted_measuring_limbs_file import Accepted
+from calib.online.live_learner_limb_watch_run_state_and_display import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from calib.online.web_page_of_ongoing_run import RunPage, run_verdict
-from rig.cli.shared.run_display_and_controller_status import PlainLineDisplay, TerminalBlockDisplay, run_state_lines
-from rig.driving.cameras.camera_interface_and_user_cameras import Frame
+from rig.cli.shared.terminal_run_display_and_printed_controller_status import (
+    PlainLineDisplay,
+    TerminalBlockDisplay,
+    run_state_lines,
+)
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import Frame
 from rig.driving.clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Readings, Remark
-from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
@@ -31,7 +35,7 @@ from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.plan import build_plan
 from tests.vision.reading.test_live_run_camera_and_marker_alarms import sight
 from vision.reading.live_measurement_and_corner_refit import Live, sight_from_measuring_limbs
-from vision.reading.parallel_image_map_and_marker_rendering import render_marker_images
+from vision.reading.parallel_image_map_marker_rendering_and_white_level import render_marker_images
 
 
 class Measured:
@@ -193,18 +197,18 @@ def by_limbs(folder, slip, at):
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,
-        measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
+        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
         np.random.default_rng(5),
     )
     commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = TrueMeasurement(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
-    agreement = measuring_limb_identification_and_agreement.limb_agreement(
+    agreement = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
         poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3)
     )
     accepted = Accepted(
-        measuring_limb_identification_and_agreement.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
+        measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
         nominal,
         agreement,
         None,

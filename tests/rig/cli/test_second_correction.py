@@ -11,8 +11,8 @@ from rig.cli.command_line import main
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
-from rig.recording import recording_tables
-from rig.recording.recording_tables import Poses
+from rig.recording import corner_and_pose_csv_tables
+from rig.recording.corner_and_pose_csv_tables import Poses
 
 SIGMAS = '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-6\nrotation_sigma = 1e-5\n'
 
@@ -28,10 +28,10 @@ def recorded(folder, design, rig_text, seed, count=60):
     x = T.translation - [0.0, 0.0, 0.44]
     T = T * exp(np.concatenate([1e-3 * x + 5e-3 * x * x[:, [1, 2, 0]], 1e-3 * x[:, ::-1]], axis=1))
     times = np.arange(count) * 10.0
-    recording_tables.write_table(
+    corner_and_pose_csv_tables.write_table(
         folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t + 5},," for k, t in enumerate(times)]
     )
-    recording_tables.write_table(
+    corner_and_pose_csv_tables.write_table(
         folder / "commands.csv",
         ("t", *design.mechanism.axes),
         [
@@ -40,7 +40,7 @@ def recorded(folder, design, rig_text, seed, count=60):
             for wait in (4.0, 6.0)
         ],
     )
-    recording_tables.write_poses(folder / "poses.csv", Poses(np.arange(count), T, None))
+    corner_and_pose_csv_tables.write_poses(folder / "poses.csv", Poses(np.arange(count), T, None))
     return str(folder)
 
 

@@ -11,9 +11,13 @@ import time
 
 import pytest
 
-from rig.cli.command_execution import command_line_parser
+from rig.cli.command_import_execution_and_exit_status import command_line_parser
 from rig.cli.command_line import main
-from rig.cli.stop_before_imports import begin_stop, real_time_priority, stated_rig_toml_and_port
+from rig.cli.urgent_stop_before_slow_imports import (
+    begin_urgent_stop_of_command_words,
+    real_time_priority,
+    rig_toml_and_port_in_stop_words,
+)
 from rig.driving.controller_address_and_urgent_stop import STOPS, controller_address_in_rig_toml
 from rig.driving.protocols import protocol_of_controller
 from rig.formats.rig_toml import design_from_rig_toml
@@ -103,7 +107,7 @@ def test_a_rig_without_a_controller_has_no_address(tmp_path):
 )
 def test_words_that_are_understood_at_once_are_understood_alike_by_the_parser(text):
     stated = command_line_parser(["stop"]).parse_args(["stop", *text.split()])
-    assert stated_rig_toml_and_port(text.split()) == (str(stated.design), stated.port)
+    assert rig_toml_and_port_in_stop_words(text.split()) == (str(stated.design), stated.port)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +115,10 @@ def test_words_that_are_understood_at_once_are_understood_alike_by_the_parser(te
     ["", "--help", "rig.toml --help", "rig.toml other.toml", "rig.toml --port", "rig.toml --prt x", "-- rig.toml"],
 )
 def test_other_words_are_left_to_the_parser_and_nothing_is_done(text):
-    assert stated_rig_toml_and_port(text.split()) is None and begin_stop(text.split()) is None
+    assert (
+        rig_toml_and_port_in_stop_words(text.split()) is None
+        and begin_urgent_stop_of_command_words(text.split()) is None
+    )
 
 
 def test_help_and_errors_of_stop_are_those_of_every_command(tmp_path, capsys):

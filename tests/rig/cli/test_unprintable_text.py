@@ -9,9 +9,9 @@ import threading
 import pytest
 
 from rig.cli.command_line import main
-from rig.cli.shared.output_display import EscapedStream
-from rig.cli.shared.run_display_and_controller_status import TerminalBlockDisplay
-from rig.formats.output_files.atomic_files_and_locks import escape_unprintable
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import EscapedStream
+from rig.cli.shared.terminal_run_display_and_printed_controller_status import TerminalBlockDisplay
+from rig.formats.output_files.atomic_file_writing_and_process_locks import escape_unprintable
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from tests.conftest import ROOT
 

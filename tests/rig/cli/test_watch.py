@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certification.claim_verification import Part, Verification
-from calib.drift.change_evidence_and_sentences import ALARM, SOMETHING, Suspect, Verdict
+from calib.drift.machine_change_hypotheses_verdict_and_sentences import ALARM, SOMETHING, Suspect, Verdict
 from calib.drift.visits_page import Visit, last_visit_verdict
 from calib.files import calibration_file
 from rig.cli.command_line import main

@@ -13,8 +13,8 @@ import calib
 from calib.api.options_and_imported_data_of_why import recording_and_whether_noise_is_assumed
 from calib.api.why import _repeats
 from rig.errors import RigError
-from rig.formats.exporters.urdf_and_sdf import arm_urdf
-from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions
+from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import arm_urdf
+from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions
 from rig.model.design import Arm
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import load_recording

@@ -266,7 +266,7 @@ def test_drawing_is_the_same_by_one_by_two_and_by_a_cluster_of_which_one_is_kill
 
 @pytest.mark.slow
 def test_diagnosing_two_recordings_is_the_same_on_a_cluster(design, rig_text, tmp_path):
-    from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+    from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
     from tests.conftest import make_recording
 
     for name, seed in (("a", 1), ("b", 2)):
@@ -302,12 +302,14 @@ def test_a_campaign_is_the_same_on_a_cluster_of_which_one_is_killed(tmp_path):
 
 @pytest.mark.slow
 def test_a_process_here_that_is_killed_costs_no_result(tmp_path, monkeypatch):
-    from vision.reading import recording_corners
+    from vision.reading import corner_reading_from_recording_images
 
-    monkeypatch.setattr(recording_corners, "LEARN_FROM", 4)  # so that images are left to be shared out
+    monkeypatch.setattr(
+        corner_reading_from_recording_images, "LEARN_FROM", 4
+    )  # so that images are left to be shared out
     words = ["measure", str(BENCH / "check"), "--quiet", "--workers", "2", "--out"]
     assert main([*words, str(tmp_path / "1")]) == 0
-    seen, killed, here = recording_corners.detect_markers, tmp_path / "killed", os.getpid()
+    seen, killed, here = corner_reading_from_recording_images.detect_markers, tmp_path / "killed", os.getpid()
 
     def once(*a, **k):
         if not killed.exists() and os.getpid() != here:
@@ -315,7 +317,7 @@ def test_a_process_here_that_is_killed_costs_no_result(tmp_path, monkeypatch):
             os.kill(os.getpid(), signal.SIGKILL)
         return seen(*a, **k)
 
-    monkeypatch.setattr(recording_corners, "detect_markers", once)
+    monkeypatch.setattr(corner_reading_from_recording_images, "detect_markers", once)
     assert main([*words, str(tmp_path / "2")]) == 0 and killed.exists()
     alike(tmp_path / "1", tmp_path / "2", SAME)
     shutil.rmtree(tmp_path)

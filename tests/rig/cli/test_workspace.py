@@ -12,10 +12,10 @@ from calib.correction.correction import Correction
 from calib.files import calibration_file
 from calib.models.machine_models import calibration_with_workspace
 from calib.models.platform.identification import identify_platform
-from calib.workspace.workspace_map_and_lost_poses import is_pose_lost
+from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import are_nominal_poses_out_of_corrected_reach
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.calib.noisy_samples import sampled
 from tests.cli import Links
 
@@ -29,7 +29,7 @@ def calibration_folder(tmp_path_factory, design, rig_text):
     (base / "rig.toml").write_text(rig_text)
     samples, _ = sampled(design, 3, 40)
     found = identify_platform(samples, design.mechanism)
-    true = secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(2), 10.0).true.mechanism
+    true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(2), 10.0).true.mechanism
     made = calibration_with_workspace(
         Calibration(
             Correction(design.mechanism, true, (None,) * 6), found.covariance, found.scatter, (), (), None, {"seed": 0}
@@ -135,7 +135,7 @@ def test_plans_avoid_what_was_lost(calibration_folder, tmp_path, requested, caps
             == 0
         )
         out.append(
-            is_pose_lost(
+            are_nominal_poses_out_of_corrected_reach(
                 made.correction,
                 csv_and_parquet_tables_and_time_origin.read_csv_table(tmp_path / "plan.csv", ("frame",)).matrix(
                     made.correction.nominal.axes

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.cli.shared.output_display import Progress, print_compilation_notice
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress, print_compilation_notice
 from rig.compute import numba_kernels
 from tests.conftest import ROOT
 

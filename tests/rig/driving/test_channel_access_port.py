@@ -10,11 +10,15 @@ import time
 import numpy as np
 import pytest
 
+from rig.driving.axis_driver import Driver
 from rig.driving.clock import SystemClock
-from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.ports_and_numbered_frames import ChannelAccessPort, encode_frame, last_valid_frame_in_line
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.request_and_answer_exchange_with_controller import Link
-from rig.driving.strut_driver import Driver
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
+    ChannelAccessPort,
+    encode_frame,
+    last_valid_frame_in_line,
+)
 from rig.errors import ControllerFault, FileError, LinkLost, MissingLibrary, PositionLost, Stopped
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.driving.controller_status_and_limits import limits_of_linuxcnc_ini, require_goals_within_limits
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.errors import FileError, Unreachable
 from tests.emulated_run import RigInThread
 

@@ -18,20 +18,21 @@ from pathlib import Path
 import pytest
 
 from rig.cli.command_line import main
-from rig.driving import controller_lock
-from rig.driving import ports_and_numbered_frames as ports
+from rig.driving import controller_lock_and_stop_of_its_holder
+from rig.driving import serial_and_epics_ports_and_checksummed_frames as ports
 from rig.driving.clock import SystemClock
-from rig.driving.controller_lock import ControllerLock, lock_names
-from rig.driving.ports_and_numbered_frames import SerialPort
+from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock, lock_names
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort
 from rig.errors import LinkLost, RigError
-from rig.model.protocol_and_port_names import port_problem
+from rig.model.protocol_port_and_user_program_name_checks import port_problem
 from tests.conftest import ROOT
 from tests.emulated_run import EmulatedRig
 from tests.rig.lock_holder import stop_lock_holder
 
-TCP = "import rig.driving.controller_lock as lock\nlock.ABSTRACT = False\n"  # as off Linux
+TCP = "import rig.driving.controller_lock_and_stop_of_its_holder as lock\nlock.ABSTRACT = False\n"  # as off Linux
 HOLD = (
-    "import sys, signal\nfrom rig.driving.controller_lock import ControllerLock\nfrom rig.errors import RigError\n"
+    "import sys, signal\nfrom rig.errors import RigError\n"
+    "from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock\n"
     "def end(*_): raise KeyboardInterrupt\nsignal.signal(signal.SIGTERM, end)\n"
     "try:\n    with ControllerLock(*sys.argv[1:]):\n        print('held', flush=True)\n        signal.pause()\n"
     "except RigError as error:\n    print(error, flush=True)\nexcept KeyboardInterrupt:\n    print('ended', "
@@ -39,7 +40,7 @@ HOLD = (
 )
 STOP = (
     "import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.errors import RigError\n"
-    "from rig.driving.controller_lock import ask_lock_holder_to_end, await_end_of_lock_holder\n"
+    "from rig.driving.controller_lock_and_stop_of_its_holder import ask_lock_holder_to_end, await_end_of_lock_holder\n"
     "try:\n    holder = ask_lock_holder_to_end(sys.argv[1])\n"
     "    await_end_of_lock_holder(holder, sys.argv[1], SystemClock(), 5.0)\n"
     "    print(holder.pid, flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n"
@@ -64,7 +65,7 @@ def device():
 @pytest.fixture(params=["abstract", "tcp"])
 def before_all(request, monkeypatch):
     """What a process runs first, so that locks are those of Linux, or those of other systems."""
-    monkeypatch.setattr(controller_lock, "ABSTRACT", request.param == "abstract")
+    monkeypatch.setattr(controller_lock_and_stop_of_its_holder, "ABSTRACT", request.param == "abstract")
     return "" if request.param == "abstract" else TCP
 
 
@@ -98,7 +99,7 @@ def test_a_second_process_is_refused_whatever_its_environment_and_the_first_is_s
 @pytest.mark.parametrize("users", [((), NOBODY, NOBODY), (NOBODY, (), ())])
 def test_users_are_refused_and_stopped_by_each_other(device, users, before_all):
     if subprocess.run(
-        [*NOBODY, sys.executable, "-c", "import rig.driving.controller_lock"],
+        [*NOBODY, sys.executable, "-c", "import rig.driving.controller_lock_and_stop_of_its_holder"],
         capture_output=True,
         cwd="/",
         env={"PYTHONPATH": str(ROOT)},
@@ -153,8 +154,8 @@ def answer(listening):
 
 
 def test_a_port_of_another_program_is_no_lock(device, monkeypatch):
-    monkeypatch.setattr(controller_lock, "ABSTRACT", False)
-    with socket.create_server(controller_lock._address(lock_names(device)[0])) as other:
+    monkeypatch.setattr(controller_lock_and_stop_of_its_holder, "ABSTRACT", False)
+    with socket.create_server(controller_lock_and_stop_of_its_holder._address(lock_names(device)[0])) as other:
         thread = threading.Thread(target=answer, args=(other,))
         thread.start()
         with pytest.raises(RigError, match="in use by another program"):
@@ -243,7 +244,12 @@ def users():
     system = shutil.which(f"python3.{sys.version_info.minor}", path="/usr/bin:/usr/local/bin")
     for interpreter in (sys.executable, system):
         if os.geteuid() == 0 and shutil.which("setpriv") and interpreter and "nobody" not in found:
-            words = [*NOBODY, interpreter, "-c", "import numpy, serial, rig.driving.controller_lock"]
+            words = [
+                *NOBODY,
+                interpreter,
+                "-c",
+                "import numpy, serial, rig.driving.controller_lock_and_stop_of_its_holder",
+            ]
             if subprocess.run(words, capture_output=True, cwd="/", env=BARE | packages()).returncode == 0:
                 found["nobody"] = (NOBODY, interpreter)
     return found

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from rig.cli import command_line
-from rig.driving.axis_units_and_distances import counts_per_unit
+from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.clock import SystemClock
-from rig.driving.emulators import controller_emulator_opening_and_ports as opening
-from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
-from rig.driving.emulators.emulated_axes_and_faults import Faults
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp as opening
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
 from rig.errors import FileError, PositionLost, Unreachable
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms
@@ -62,7 +62,7 @@ def test_joints_are_counted_in_degrees_and_slides_in_mm(tmp_path):
     goal = emulator.machine.home + np.array([0.02 if unit == "rad" else 0.003 for unit in units])
     driver.move(goal)
     np.testing.assert_allclose(emulator.machine.axes.at(emulator.now), goal, atol=2e-5)
-    counted = counts_per_unit(units) * (goal - design.controller.zero)
+    counted = controller_counts_per_metre_or_radian(units) * (goal - design.controller.zero)
     np.testing.assert_allclose(emulator._counts * emulator.machine.counters(emulator.now), counted, atol=2e-3)
 
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.controller_emulator_opening_and_ports import EmulatorPort, home_lengths
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
-from rig.driving.strut_driver import Driver
+from rig.driving.axis_driver import Driver
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import EmulatorPort, home_lengths
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Stopped
 from tests.rig.driver_steps import STEP, order, truly
 
@@ -157,7 +157,7 @@ def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monke
 
     from serial.tools import list_ports
 
-    from rig.driving.ports_and_numbered_frames import find_usb_port
+    from rig.driving.serial_and_epics_ports_and_checksummed_frames import find_usb_port
 
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(driven_design, "struts", (), 1)
     opened, here = (

@@ -7,9 +7,13 @@ import sys
 import pytest
 
 from rig.driving.clock import SystemClock
-from rig.driving.ports_and_numbered_frames import ChannelAccessPort, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.epics import Epics
 from rig.driving.request_and_answer_exchange_with_controller import Link
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
+    ChannelAccessPort,
+    encode_frame,
+    last_valid_frame_in_line,
+)
 from rig.errors import ControllerFault
 from tests.conftest import ROOT
 

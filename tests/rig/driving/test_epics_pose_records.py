@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.strut_driver import Driver
+from rig.driving.axis_driver import Driver
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.errors import ControllerFault, FileError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms

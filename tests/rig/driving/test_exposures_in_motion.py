@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from rig.driving import move_and_record_loop
-from rig.driving.cameras.camera_interface_and_user_cameras import ELSEWHERE, CameraError, SynchronisedCameras
+from rig.driving.axis_driver import Driver
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
+    ELSEWHERE,
+    CameraError,
+    SynchronisedCameras,
+)
 from rig.driving.controller_status_and_limits import PositionReport
-from rig.driving.exposures_in_motion import FramesDuringMove, lengths_reported_at
+from rig.driving.exposures_in_motion import FramesDuringMove, interpolated_reported_strut_lengths
 from rig.driving.run_journal import (
     Arrival,
     Began,
@@ -21,10 +26,13 @@ from rig.driving.run_journal import (
     PositionUnknown,
     Remark,
     Resumed,
-    read_journal,
+    read_journal_rows_and_valid_length,
 )
-from rig.driving.run_steps_and_progress import Step, interrupted_move_result, progress_from_journal
-from rig.driving.strut_driver import Driver
+from rig.driving.run_steps_from_plan_and_progress_from_journal import (
+    Step,
+    interrupted_move_text_and_goal_reached,
+    progress_from_journal,
+)
 from rig.errors import LinkLost, PositionLost, RigError, Stopped
 from rig.recording import recording_folder
 from tests.emulated_run import RigInThread
@@ -40,7 +48,7 @@ def made(tmp_path):
 
 
 def rows(out):
-    return read_journal(out / "journal.jsonl")[0]
+    return read_journal_rows_and_valid_length(out / "journal.jsonl")[0]
 
 
 def moving(rig, out, plan="sobol:1", **options):
@@ -247,7 +255,7 @@ def test_a_way_back_that_was_broken_off_is_no_step_that_was_done():
     ]
     state = progress_from_journal(found, steps)
     for position in (goal, start):
-        text, done = interrupted_move_result(state, steps, np.array(position), 1e-5)
+        text, done = interrupted_move_text_and_goal_reached(state, steps, np.array(position), 1e-5)
         assert not done and text == "step 1 was on its way back to its start"
 
 
@@ -257,10 +265,10 @@ def test_a_move_in_motion_that_ended_while_nobody_looked_is_made_again():
     goal, start = (tuple(step.goal.tolist()) for step in reversed(steps))
     found = [Began(0.0, 0.0, 2, "", start), Departure(1.0, 0, start, start), Arrival(2.0, 0, start, True)]
     state = progress_from_journal([*found, Departure(3.0, 1, start, goal)], steps)
-    text, done = interrupted_move_result(state, steps, np.array(goal), 1e-5)
+    text, done = interrupted_move_text_and_goal_reached(state, steps, np.array(goal), 1e-5)
     assert not done and "is made again" in text
     standing = tuple(Step(step.goal, 0, None) for step in steps)
-    assert interrupted_move_result(state, standing, np.array(goal), 1e-5)[1]
+    assert interrupted_move_text_and_goal_reached(state, standing, np.array(goal), 1e-5)[1]
 
 
 @pytest.mark.parametrize("kind", ["position lost", "stop fails"])
@@ -334,8 +342,8 @@ def test_lengths_are_read_off_reports_that_another_thread_adds_to():
     reports = Growing(PositionReport(a - 1e-3, a + 1e-3, row) for a, row in zip(t, lengths))
     for at in (-1.0, t[0], 0.031, t[7], 0.1234, t[-1], 1.0):
         wanted = [np.interp(at, t, column) for column in lengths.T]
-        np.testing.assert_allclose(lengths_reported_at(reports, at, np.zeros(6)), wanted, rtol=1e-12)
-    assert (lengths_reported_at([], 0.0, np.full(6, 0.5)) == 0.5).all()
+        np.testing.assert_allclose(interpolated_reported_strut_lengths(reports, at, np.zeros(6)), wanted, rtol=1e-12)
+    assert (interpolated_reported_strut_lengths([], 0.0, np.full(6, 0.5)) == 0.5).all()
 
 
 def test_another_speed_is_another_plan(made, tmp_path):

@@ -5,8 +5,8 @@ no move is repeated.
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal
-from rig.driving.run_steps_and_progress import check_steps, steps_of_plan
+from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal_rows_and_valid_length
+from rig.driving.run_steps_from_plan_and_progress_from_journal import require_all_steps_permitted, steps_of_plan
 from rig.errors import ControllerFault, MotionError, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -31,7 +31,7 @@ def test_a_run_is_a_recording_as_any_other(rig, tmp_path):
     exposed = [k for k, step in enumerate(room.planned) for _ in range(step.frames)]
     np.testing.assert_allclose(commanded, [room.planned[k].goal for k in exposed], atol=2e-9)
     assert len(room.struts.visits) == len(room.planned), "places passed on the way are visited too"
-    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal_rows_and_valid_length(tmp_path / "rec" / "journal.jsonl")[0]
     moves = [(a, b) for a, b in zip(rows, rows[1:]) if isinstance(a, Departure)]
     for departure, arrival in moves:  # half way in time is half way in length, and the first tenth is slow
         distance = np.abs(np.array(departure.goal) - departure.start).max()
@@ -85,7 +85,7 @@ def test_killed_at_every_instant_it_goes_on_and_repeats_no_move(rig, tmp_path, h
             with open(folder / "journal.jsonl", "ab") as file:
                 file.write(b'{"row": 17, "kind": "depart')
         room.process()
-        rows = read_journal(folder / "journal.jsonl")[0]
+        rows = read_journal_rows_and_valid_length(folder / "journal.jsonl")[0]
         assert all(row in rows for row in room.reported), "a row that was reported is there"
         broken = half and len(room.struts.visits) == len(room.planned) + 1  # it was begun, and stopped half way
         assert len(room.struts.visits) == len(room.planned) or broken, (
@@ -111,7 +111,7 @@ def test_what_stands_elsewhere_is_said_and_gone_back_to(rig, tmp_path):
     room.eye.grab = grab
     room.struts.at += 2e-3
     room.process()
-    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal_rows_and_valid_length(tmp_path / "rec" / "journal.jsonl")[0]
     assert (
         "2.000 mm from where they were left: somebody moved them"
         in next(row for row in rows if isinstance(row, Resumed)).found
@@ -141,12 +141,12 @@ def test_a_fault_stops_the_struts_and_is_written_down(rig, tmp_path):
     room.struts.move = fail
     with pytest.raises(ControllerFault):
         room.process()
-    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal_rows_and_valid_length(tmp_path / "rec" / "journal.jsonl")[0]
     assert rows[-1].reason == "axis 4 in error" and room.struts.stops == 1
     assert isinstance(rows[-2], Arrival) and not rows[-2].reached
     room.struts.move = whole
     room.process()
-    assert read_journal(tmp_path / "rec" / "journal.jsonl")[0][-1].reason == ""
+    assert read_journal_rows_and_valid_length(tmp_path / "rec" / "journal.jsonl")[0][-1].reason == ""
     with pytest.raises(RigError, match="silent|no frame"):
         other = Room(rig, tmp_path / "rec", "sobol:9")
         other.eye.fails = 3
@@ -191,7 +191,7 @@ def test_every_place_is_checked_before_anything_moves(rig):
             raise Unreachable("not moved: the path comes too near a singularity", [0], ["20% along"])
 
     with pytest.raises(Unreachable, match="1 of 9 moves of the plan.*\n  step 2: .*singularity"):
-        check_steps(planned, rig.mechanism.strut_range.mean(axis=1), refuse)
+        require_all_steps_permitted(planned, rig.mechanism.strut_range.mean(axis=1), refuse)
 
 
 def test_a_journal_of_another_plan_is_refused(rig, tmp_path):
@@ -218,12 +218,16 @@ def test_a_frame_in_which_somebody_else_moved_the_struts_is_not_kept(rig, tmp_pa
     room.eye.grab, room.clock.sleep = jogged, settle
     with pytest.raises(MotionError, match="frame 0 is discarded: .* 2.000 mm from where they were to rest"):
         room.process()
-    rows = read_journal(tmp_path / "rec" / "journal.jsonl")[0]
+    rows = read_journal_rows_and_valid_length(tmp_path / "rec" / "journal.jsonl")[0]
     assert not any(isinstance(row, Exposed) for row in rows) and "discarded" in rows[-1].reason
     assert not list((tmp_path / "rec").glob("images/**/*.png"))
     room.eye.grab, room.clock.sleep = grab, wait
     room.process()
     assert (
         "moved them"
-        in next(row for row in read_journal(tmp_path / "rec" / "journal.jsonl")[0] if isinstance(row, Resumed)).found
+        in next(
+            row
+            for row in read_journal_rows_and_valid_length(tmp_path / "rec" / "journal.jsonl")[0]
+            if isinstance(row, Resumed)
+        ).found
     )

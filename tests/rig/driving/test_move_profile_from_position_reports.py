@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.driving.controller_status_and_limits import PositionReport
-from rig.driving.emulators.emulated_axes_and_faults import MovingAxes
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import MovingAxes
 from rig.driving.move_profiles_and_path_check import move_profile_fitted_to_reports
 
 SPEED = 0.02  # m/s

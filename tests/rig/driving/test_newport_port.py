@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rig.driving.axis_driver import Driver
 from rig.driving.clock import SystemClock
-from rig.driving.emulators.controller_emulator_opening_and_ports import (
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import (
     emulator_of_design,
     home_lengths,
     serve_emulator,
     tcp_wire,
 )
-from rig.driving.emulators.emulated_axes_and_faults import Faults
-from rig.driving.strut_driver import Driver
 from rig.errors import LinkLost, Stopped
 
 STEP = np.array([3.0, -2.0, 2.5, 1.0, 2.0, -3.0]) * 1e-3  # m

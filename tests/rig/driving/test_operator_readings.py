@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.operator_readings import ReadingForm, reading_sizes
+from rig.driving.readings_entered_by_operator_during_run import ReadingForm, permitted_figure_counts_of_reading
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_length_and_angle_units
 from rig.model import mechanisms
@@ -54,6 +54,6 @@ def test_what_is_no_reading_is_refused_in_words(form, text, sizes, why):
 
 def test_the_instrument_states_what_a_reading_has():
     pose = Instrument("free", "free", 1e-5, 1e-4)
-    assert reading_sizes(None) == (3, 6) and reading_sizes(pose) == (6,)
-    assert reading_sizes(replace(pose, rotation_sigma=None)) == (3,)
-    assert reading_sizes(replace(pose, kind="distance")) == ()
+    assert permitted_figure_counts_of_reading(None) == (3, 6) and permitted_figure_counts_of_reading(pose) == (6,)
+    assert permitted_figure_counts_of_reading(replace(pose, rotation_sigma=None)) == (3,)
+    assert permitted_figure_counts_of_reading(replace(pose, kind="distance")) == ()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.driving.move_profiles_and_path_check import jog_goal, require_lengths_in_range, require_safe_path
+from rig.driving.move_profiles_and_path_check import jog_goal, require_axis_values_in_range, require_safe_path
 from rig.errors import Unreachable
 from rig.model.arm_hands_effect_places_and_tolerances import Coupling
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -40,7 +40,7 @@ def test_joints_that_follow_others_go_where_their_leaders_have_them(driven_desig
 
     unnamed = np.zeros(len(machine.axes), bool)
     goal = jog_goal(at(0.2, 0.3, 0.1), unnamed, machine)
-    np.testing.assert_allclose(require_lengths_in_range(goal, machine), at(0.2, 0.3, 0.0), atol=1e-15)
+    np.testing.assert_allclose(require_axis_values_in_range(goal, machine), at(0.2, 0.3, 0.0), atol=1e-15)
     named = unnamed | (np.arange(len(unnamed)) == len(below) + 2)
     with pytest.raises(Unreachable, match=f"{name}: 5.730 deg, its leader has it at 0.000 deg"):
-        require_lengths_in_range(jog_goal(at(0.2, 0.3, 0.1), named, machine), machine)
+        require_axis_values_in_range(jog_goal(at(0.2, 0.3, 0.1), named, machine), machine)

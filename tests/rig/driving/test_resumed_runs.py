@@ -6,7 +6,7 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import CameraExposures, Ended, Exposed, PositionUnknown, read_journal
+from rig.driving.run_journal import CameraExposures, Ended, Exposed, PositionUnknown, read_journal_rows_and_valid_length
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stopped
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
@@ -24,7 +24,7 @@ def made(tmp_path, request):
 
 
 def rows(out):
-    return read_journal(out / "journal.jsonl")[0]
+    return read_journal_rows_and_valid_length(out / "journal.jsonl")[0]
 
 
 def interrupted(rig, out, **options):

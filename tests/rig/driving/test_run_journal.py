@@ -17,7 +17,7 @@ from rig.driving.run_journal import (
     Remark,
     Resumed,
     journal_line,
-    read_journal,
+    read_journal_rows_and_valid_length,
 )
 from rig.errors import FileError, RigError
 
@@ -42,7 +42,7 @@ def write(path, rows):
 def test_rows_come_back_as_they_were(tmp_path):
     write(tmp_path / "j", ROWS[:4])
     write(tmp_path / "j", ROWS[4:])
-    assert read_journal(tmp_path / "j") == (ROWS, os.path.getsize(tmp_path / "j"))
+    assert read_journal_rows_and_valid_length(tmp_path / "j") == (ROWS, os.path.getsize(tmp_path / "j"))
 
 
 def test_a_file_cut_off_anywhere_keeps_every_whole_row(tmp_path):
@@ -62,7 +62,7 @@ def test_a_file_cut_off_anywhere_keeps_every_whole_row(tmp_path):
             assert journal.rows == ROWS[:whole]
             assert journal.torn == size - ([0, *ends][whole])
             journal.append(Ended(10.0, "cut"))
-        assert read_journal(path)[0] == [*ROWS[:whole], Ended(10.0, "cut")]
+        assert read_journal_rows_and_valid_length(path)[0] == [*ROWS[:whole], Ended(10.0, "cut")]
 
 
 def test_a_torn_line_of_rubbish_is_taken_away_and_damage_before_rows_is_named(tmp_path):
@@ -77,7 +77,7 @@ def test_a_torn_line_of_rubbish_is_taken_away_and_damage_before_rows_is_named(tm
         Journal(path)
     path.write_bytes(journal_line(0, ROWS[0]) + journal_line(2, ROWS[1]) + journal_line(2, ROWS[2]))
     with pytest.raises(FileError, match="j:2: is damaged"):
-        read_journal(path)
+        read_journal_rows_and_valid_length(path)
 
 
 def test_one_process_at_a_time(tmp_path):

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rig.driving.axis_driver import Driver
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.controller_emulator_opening_and_ports import home_lengths
-from rig.driving.emulators.driver_conformance_checks import ON_RESETS
-from rig.driving.emulators.emulated_axes_and_faults import ALWAYS, KINDS
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock, move_counts_with_faults
-from rig.driving.strut_driver import Driver
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import ALWAYS, KINDS
+from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
+from rig.driving.emulators.move_trials_through_emulator_with_faults import (
+    emulated_driver_with_emulator_and_clock,
+    run_moves_with_faults_and_count_outcomes,
+)
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import ON_RESETS
 from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
 from tests.rig.driver_steps import STEP, order, truly
 
@@ -216,7 +219,7 @@ def test_a_rig_without_a_controller_cannot_be_driven(design):
 
 @pytest.mark.slow
 def test_many_moves_with_every_fault_among_them(driven_design, protocol):
-    verdicts = move_counts_with_faults(driven_design, protocol, ["all:0.6"], 40, seed=3)
+    verdicts = run_moves_with_faults_and_count_outcomes(driven_design, protocol, ["all:0.6"], 40, seed=3)
     assert len(verdicts.struck) >= 10 and verdicts.done > 15
     assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (
         0,
@@ -233,7 +236,7 @@ def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol
     seldom = (
         {"homes-on:0.05", "stale-alarm:0.3"} if protocol == "grblhal" else {"homes-on:0.05"}
     )  # homing and resets are far fewer than moves
-    verdicts = move_counts_with_faults(
+    verdicts = run_moves_with_faults_and_count_outcomes(
         driven_design,
         protocol,
         ["all:0.05", *sorted(seldom), *buffer],

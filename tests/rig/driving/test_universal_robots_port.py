@@ -5,16 +5,16 @@ import time
 
 import pytest
 
-from rig.driving import universal_robots_port
+from rig.driving import universal_robots_real_time_interface_port
 from rig.driving.clock import SystemClock
-from rig.driving.universal_robots_port import UniversalRobotsPort, packet
+from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort, packet
 from rig.errors import LinkLost
 
 
 @pytest.fixture
 def connected(monkeypatch):
     """(port, the robot's end of its connection), patient for a tenth of a second."""
-    monkeypatch.setattr(universal_robots_port, "PATIENCE", 0.1)
+    monkeypatch.setattr(universal_robots_real_time_interface_port, "PATIENCE", 0.1)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = UniversalRobotsPort(f"ur://127.0.0.1:{listening.getsockname()[1]}", SystemClock())
         robot, _ = listening.accept()

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_texts_and_user_effect_files import (
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     parse_effect,
     require_existing_place,
     require_known_effect,

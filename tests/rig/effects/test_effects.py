@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import check_effect_place_and_parameter_bounds
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
 from rig.model import motion_simulation
@@ -123,7 +123,7 @@ def test_the_catalogue_is_whole():
 def test_zero_parameters_change_nothing(setting_of, kind, place):
     setting = setting_of(kind)
     np.testing.assert_allclose(
-        corners(setting, [check_effect_place_and_parameter_bounds(kind(place))]), corners(setting, []), atol=1e-9
+        corners(setting, [require_valid_effect_place_and_parameters(kind(place))]), corners(setting, []), atol=1e-9
     )
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.model import motion_simulation
 from rig.planning import plan
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.effects_by_other_formulas import OffsetSignals, SwungCardan, WarmedScrew
 from tests.calib.lifted_corners import lifted
 
@@ -60,7 +60,7 @@ def test_a_lifted_corner_is_a_point_in_space(design):
     route, rng = plan.build_plan(design, "sobol:6", 3), np.random.default_rng(2)
     flat, bent = (
         recording_simulation.simulate_world(
-            secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(1), 1.0, effects),
+            random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(1), 1.0, effects),
             route,
             np.random.default_rng(4),
         )

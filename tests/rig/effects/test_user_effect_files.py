@@ -13,7 +13,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL, catalogue_with_files
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_texts_and_user_effect_files import load_effect_file, parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import load_effect_file, parse_effect
 from rig.errors import FileError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
 from rig.model import motion_simulation

@@ -8,12 +8,12 @@ import pytest
 from rig.cli import certify
 from rig.cli.command_line import main
 from rig.cli.go import parse_pose
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers.foreign_table_columns import NUMBER
 from rig.formats.numbers_and_units import SI, NotFinite, parse_length_and_angle_units, parse_number, parse_whole_number
-from rig.model import calibration_board
+from rig.model import calibration_board_layout_and_description_parsing
 from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges
 
 NONE = (
@@ -61,7 +61,7 @@ def test_anything_else_is_none_wherever_it_stands(text, tmp_path, capsys):
     with pytest.raises(RigError):
         parse_effect(f"backlash:strut2:gap={text or ' '}")
     with pytest.raises(RigError):
-        calibration_board.parse_board(f"charuco:8x6:{text}:0.022:DICT_5X5_100")
+        calibration_board_layout_and_description_parsing.parse_board(f"charuco:8x6:{text}:0.022:DICT_5X5_100")
     for option in ("--speed", "--seed"):
         with pytest.raises(SystemExit):
             main(["emulate", "rig.toml", f"{option}={text}"])
@@ -102,7 +102,7 @@ def test_poses_on_the_command_line():
 @pytest.mark.parametrize(
     ("read", "good", "bad"),
     [
-        (certify.parse_share, "0.9999", ("0.4", "1", "1_0")),
+        (certify.parse_share_between_half_and_one, "0.9999", ("0.4", "1", "1_0")),
         (certify.parse_relative_uncertainty, "0", ("0.1", "-1e-9", "1_0")),
         (certify.parse_rated_load, "12.5", ("1e6", "-1", "1_0", "nan")),
     ],

@@ -13,9 +13,9 @@ from calib.certification.uncertainty_budget import BUDGET_COLUMNS, Budget, Contr
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from rig.errors import MissingLibrary
-from rig.formats.pandas_tables import POSE_COLUMNS_WITH_UNITS, pandas_table
+from rig.formats.pandas_tables_of_poses_and_errors import POSE_COLUMNS_WITH_UNITS, pandas_table
 from rig.model.pose import pose
-from rig.recording.recording_tables import Poses
+from rig.recording.corner_and_pose_csv_tables import Poses
 
 POSES = Poses(np.arange(2), pose(np.eye(3)[:2], np.zeros((2, 3))), np.broadcast_to(4e-6 * np.eye(6), (2, 6, 6)))
 

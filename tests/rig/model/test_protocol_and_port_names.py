@@ -2,7 +2,7 @@
 
 import pytest
 
-from rig.model.protocol_and_port_names import port_problem
+from rig.model.protocol_port_and_user_program_name_checks import port_problem
 
 
 @pytest.mark.parametrize("port", ["xps://host:abc", "socket://host:99999", "ca://[::1"])

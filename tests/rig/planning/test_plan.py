@@ -127,10 +127,10 @@ def test_low_discrepancy_covers_evenly(design):
 
 
 def test_payload_steps_are_logged(design):
-    from synthetic.secret_machine_and_truth_file import draw_temperatures
+    from synthetic.random_true_machine_and_truth_file import random_true_and_logged_temperatures
 
     found = plan.build_plan(design, "payload:4")
-    _, log = draw_temperatures(found.commands.t[-1], np.random.default_rng(0))
+    _, log = random_true_and_logged_temperatures(found.commands.t[-1], np.random.default_rng(0))
     sensors = plan.sensors_with_payload(found, log)
     load = sensors.at(found.t, "payload_mass_kg")
     assert load[:4].tolist() == [0] * 4 and (load[4:8] > 1).all() and load[8:].tolist() == [0] * 4

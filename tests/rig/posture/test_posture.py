@@ -19,7 +19,7 @@ from rig.model.pose import pose_difference, pose_to_vector
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,
     arm_motion_between_postures,
-    null_space_search,
+    null_space_posture_search,
     wrench_estimation_from_torques,
 )
 from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective
@@ -88,9 +88,9 @@ def test_measures_are_hand_worked():
 )
 def test_searches_leave_the_hand_and_keep_the_limits(wish):
     q = configurations(PANDA, 25, np.random.default_rng(1), 0.9)
-    gradient = null_space_search.gradient_search(q, PANDA, wish)
-    sampled = null_space_search.sampled_search(q, PANDA, wish, np.random.default_rng(2), count=80)
-    best = null_space_search.global_search(q, PANDA, wish)
+    gradient = null_space_posture_search.gradient_search(q, PANDA, wish)
+    sampled = null_space_posture_search.sampled_search(q, PANDA, wish, np.random.default_rng(2), count=80)
+    best = null_space_posture_search.whole_self_motion_search(q, PANDA, wish)
     for found in (gradient, sampled, best):
         assert (
             found.moved.max() < 1e-9
@@ -113,9 +113,9 @@ def test_searches_leave_the_hand_and_keep_the_limits(wish):
 def test_global_search_is_the_best_of_the_traced_self_motion():
     q = configurations(PANDA, 3, np.random.default_rng(3), 0.8)
     wish = TransmissionObjective(("fz",))
-    for one, value in zip(q, null_space_search.global_search(q, PANDA, wish).value):
-        path = null_space_search.trace_self_motion(one, PANDA)
-        assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2 * null_space_search.TRACE
+    for one, value in zip(q, null_space_posture_search.whole_self_motion_search(q, PANDA, wish).value):
+        path = null_space_posture_search.trace_self_motion(one, PANDA)
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 2 * null_space_posture_search.TRACE
         ends = [
             np.abs(
                 mechanism.signed_limit_excess(path[k] + 1.01 * (path[k] - path[k + (1 if k == 0 else -1)]) * 2, PANDA)
@@ -123,7 +123,7 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
             > 0
             for k in (0, -1)
         ]
-        assert all(ends) or np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < 2 * null_space_search.TRACE
+        assert all(ends) or np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < 2 * null_space_posture_search.TRACE
         reached = arm_force_transmission_and_exertable_wrench.transmission_measure(path, PANDA, wish).max()
         assert reached <= value <= reached * 1.001
 
@@ -131,10 +131,10 @@ def test_global_search_is_the_best_of_the_traced_self_motion():
 @pytest.mark.slow
 def test_a_full_turn_of_the_elbow_is_traced_once():
     round_ = type(SEVEN)(SEVEN.joints, [[-50, 50]] * 7)
-    path = null_space_search.trace_self_motion(np.array([0.3, 0.7, 0.2, 1.2, 0.4, 0.9, 0.1]), round_)
+    path = null_space_posture_search.trace_self_motion(np.array([0.3, 0.7, 0.2, 1.2, 0.4, 0.9, 0.1]), round_)
     assert (
-        np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < null_space_search.TRACE
-        and len(path) * null_space_search.TRACE > np.pi
+        np.linalg.norm(np.sin((path[0] - path[-1]) / 2)) < null_space_posture_search.TRACE
+        and len(path) * null_space_posture_search.TRACE > np.pi
     )
 
 
@@ -142,7 +142,7 @@ def test_a_limit_suffices():
     q = configurations(PANDA, 20, np.random.default_rng(4), 0.9)
     wish = TransmissionObjective(("fy",))
     limit = float(np.median(arm_force_transmission_and_exertable_wrench.transmission_measure(q, PANDA, wish)))
-    found = null_space_search.gradient_search(q, PANDA, wish, sufficient_value=limit)
+    found = null_space_posture_search.gradient_search(q, PANDA, wish, sufficient_value=limit)
     already = found.start > limit
     assert (
         (found.q[already] == q[already]).all()
@@ -154,16 +154,20 @@ def test_a_limit_suffices():
 def test_a_six_joint_arm_may_turn_its_hand_only():
     q = configurations(UR10, 5, np.random.default_rng(5), 0.3)
     with pytest.raises(RigError, match="6 joints hold the hand's pose without redundancy"):
-        null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)))
-    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position")
+        null_space_posture_search.gradient_search(q, UR10, TransmissionObjective(("fy",)))
+    found = null_space_posture_search.gradient_search(
+        q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position"
+    )
     assert found.moved[:, 0].max() < 1e-9 and (found.value > found.start).all()
     with pytest.raises(RigError, match="3 dimensions"):
-        null_space_search.global_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position")
+        null_space_posture_search.whole_self_motion_search(
+            q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="position"
+        )
 
 
 def test_a_start_beyond_its_limits_is_refused():
     with pytest.raises(RigError, match="joint 4 at 0.000 degrees, outside its limits -176"):
-        null_space_search.gradient_search(np.zeros((1, 7)), PANDA, TransmissionObjective(("fy",)))
+        null_space_posture_search.gradient_search(np.zeros((1, 7)), PANDA, TransmissionObjective(("fy",)))
 
 
 def links(rng, n=7):
@@ -232,7 +236,7 @@ def test_a_blind_posture_names_what_it_does_not_feel():
 def test_motions_end_in_the_posture():
     rng = np.random.default_rng(9)
     q = configurations(PANDA, 1, rng, 0.6)[0]
-    goal = null_space_search.global_search(q, PANDA, TransmissionObjective(("fy",))).q[0]
+    goal = null_space_posture_search.whole_self_motion_search(q, PANDA, TransmissionObjective(("fy",))).q[0]
     rows = arm_motion_between_postures.motion_with_hand_still(q, goal, PANDA)
     np.testing.assert_allclose(
         pose_difference(mechanism.forward(q, PANDA), mechanism.forward(rows, PANDA)), 0, atol=1e-9

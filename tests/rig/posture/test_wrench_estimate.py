@@ -21,7 +21,7 @@ from rig.model.pose import pose_difference
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,
     arm_motion_between_postures,
-    null_space_search,
+    null_space_posture_search,
     wrench_estimation_from_torques,
 )
 from rig.posture.arm_force_transmission_and_exertable_wrench import (
@@ -69,7 +69,7 @@ def coverage(records, seed):
     many records.
     """
     t, q, v, torque, wrench = moved(np.random.default_rng(seed), records, 90)
-    seen = wrench_estimation_from_torques.observe_wrench(
+    seen = wrench_estimation_from_torques.wrench_by_momentum_observer(
         wrench_estimation_from_torques.momentum_observer_model(
             wrench_estimation_from_torques.ArmMotion(t, q, v, True, torque), PANDA, LINKS, GRAVITY, SIGMAS
         ),
@@ -171,7 +171,7 @@ def test_a_posture_is_found_that_exerts_more_and_its_slope_is_that_of_difference
     )
     for one in q:
         np.testing.assert_allclose(wish.slope(one, PANDA), jacobian(lambda x: wish.value(x, PANDA), one), atol=1e-4)
-    found = null_space_search.global_search(q, PANDA, wish)
+    found = null_space_posture_search.whole_self_motion_search(q, PANDA, wish)
     assert (
         (found.value >= found.start).all() and np.median(found.value / found.start) > 1.05 and found.moved.max() < 1e-9
     )
@@ -189,7 +189,9 @@ def test_a_weight_that_cannot_be_held_is_negative_and_said():
 
 def test_the_hand_may_move_while_its_orientation_is_held():
     q = configurations(UR10, 4, np.random.default_rng(5), 0.3)
-    found = null_space_search.gradient_search(q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="orientation")
+    found = null_space_posture_search.gradient_search(
+        q, UR10, TransmissionObjective(("fy",)), fixed_hand_part="orientation"
+    )
     assert found.moved[:, 1].max() < 1e-9 and found.moved[:, 0].min() > 1e-3 and (found.value > found.start).all()
     rows = arm_motion_between_postures.motion_with_hand_still(q[0], found.q[0], UR10, "orientation")
     turned = pose_difference(mechanism.forward(q[0], UR10), mechanism.forward(rows, UR10))[:, 3:]
@@ -256,7 +258,7 @@ def recorded(folder, q):
 
 def test_the_best_of_postures_visited_is_gone_back_to_the_way_it_came(tmp_path, capsys):
     start = configurations(PANDA, 1, np.random.default_rng(8), 0.5)[0]
-    path = null_space_search.trace_self_motion(start, PANDA)
+    path = null_space_posture_search.trace_self_motion(start, PANDA)
     visited = np.vstack([path[:: max(len(path) // 9, 1)], start + 0.1])  # the last with the hand elsewhere
     recorded(tmp_path / "rec", visited)
     out = tmp_path / "back.csv"

@@ -9,8 +9,8 @@ import pytest
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.model.pose import pose, pose_difference
+from rig.recording import corner_and_pose_csv_tables
 from rig.recording import recording_folder as recording
-from rig.recording import recording_tables
 from rig.recording.frame_selection_and_content_hashes import remove_frames
 from tests.conftest import BENCH, SHARED
 
@@ -178,7 +178,7 @@ def test_commands_are_linear_between_rows_and_dwell_after_the_last():
 
 
 def test_frames_that_are_masked_are_in_no_poses():
-    poses = recording_tables.Poses(
+    poses = corner_and_pose_csv_tables.Poses(
         np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1))
     )
     whole = replace(recording.load_recording(BENCH / "check"), poses=poses, stages={1: poses})
@@ -196,8 +196,8 @@ def test_poses_survive_writing(tmp_path):
     poses = recording.Poses(
         np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6)
     )
-    recording_tables.write_poses(tmp_path / "poses.csv", poses)
-    loaded = recording_tables.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
+    corner_and_pose_csv_tables.write_poses(tmp_path / "poses.csv", poses)
+    loaded = corner_and_pose_csv_tables.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
     assert loaded.frame.tolist() == [0, 2, 3, 9]
     assert np.abs(pose_difference(loaded.T_base_platform, poses.T_base_platform)).max() < 2e-10
     np.testing.assert_allclose(loaded.covariance, poses.covariance, rtol=1e-6)
@@ -216,14 +216,16 @@ def test_poses_survive_writing(tmp_path):
 def test_poses_that_are_none(tmp_path, rows, says):
     (tmp_path / "poses.csv").write_text(rows + "\n")
     with pytest.raises(FileError, match=says):
-        recording_tables.load_poses(tmp_path / "poses.csv")
+        corner_and_pose_csv_tables.load_poses(tmp_path / "poses.csv")
 
 
 def test_a_covariance_must_be_one(tmp_path):
-    header = ",".join(["frame", *recording_tables.POSE_COLUMNS, *recording_tables.COVARIANCE_COLUMNS])
+    header = ",".join(
+        ["frame", *corner_and_pose_csv_tables.POSE_COLUMNS, *corner_and_pose_csv_tables.COVARIANCE_COLUMNS]
+    )
     (tmp_path / "poses.csv").write_text(header + "\n0" + ",0" * 6 + ",-1" + ",0" * 20 + "\n")
     with pytest.raises(FileError, match="not positive definite"):
-        recording_tables.load_poses(tmp_path / "poses.csv")
+        corner_and_pose_csv_tables.load_poses(tmp_path / "poses.csv")
 
 
 def test_corners_survive_writing(recording_folder):
@@ -231,7 +233,7 @@ def test_corners_survive_writing(recording_folder):
     n = len(found.frame)
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (n, 1, 1))
     loaded = recording.Corners(found.frame, found.camera, found.marker, found.corner, found.uv, covariance)
-    recording_tables.write_corners(recording_folder / "corners.csv", loaded)
+    corner_and_pose_csv_tables.write_corners(recording_folder / "corners.csv", loaded)
     loaded = recording.load_recording(recording_folder).corners
     np.testing.assert_allclose(loaded.uv, found.uv, atol=1e-5)
     np.testing.assert_allclose(loaded.covariance, covariance, rtol=1e-3)

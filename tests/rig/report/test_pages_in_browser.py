@@ -16,7 +16,7 @@ from docs.make import project
 from rig.report.pages.run_page_server import PageServer
 from tests.rig.report.made_pages import write_made_pages
 from tests.rig.report.pages.test_run_page_server import EVENT
-from vision.frame_pictures import encode_jpeg
+from vision.measured_frame_drawings_and_frame_jpegs import encode_jpeg_reduced_to_page_width
 
 pytestmark = pytest.mark.slow
 KINDS = (
@@ -55,7 +55,10 @@ def written(tmp_path_factory):
 def served():
     """The address of a run's page."""
     server = PageServer(lambda: None)
-    server.show(lambda: {**EVENT, "alarms": []}, {"cam0": lambda: encode_jpeg(np.full((48, 64), 90, np.uint8))})
+    server.show(
+        lambda: {**EVENT, "alarms": []},
+        {"cam0": lambda: encode_jpeg_reduced_to_page_width(np.full((48, 64), 90, np.uint8))},
+    )
     yield server.url
     server.close()
 

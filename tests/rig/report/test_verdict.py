@@ -30,10 +30,10 @@ FINE = Evidence("12 times better", ("go on: `rig x`",), held_out=1.1)
 
 
 def refutation(path, recording="ladder", state=State.BAD):
-    from rig.formats.output_files.staged_folder_and_manifest import file_digest
+    from rig.formats.output_files.staged_folder_and_manifest import file_sha256_or_empty
 
     return Refutation(
-        file_digest(path),
+        file_sha256_or_empty(path),
         path.name,
         "2026-01-02",
         "verify",

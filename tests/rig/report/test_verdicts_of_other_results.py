@@ -15,7 +15,7 @@ from calib.experiment.investigation_folder_and_report import (
 from calib.experiment.investigation_folder_and_report import investigation_verdict as judged_investigation
 from rig.cli.command_line import main
 from synthetic.blind_campaign_page import campaign_verdict as judged_campaign
-from synthetic.diagnosis_score import Case, Found, Hidden, campaign_figures
+from synthetic.diagnosis_score import Case, Found, Hidden, campaign_rates_with_intervals
 from tests import truth
 from vision.api import MeasurementResult
 from vision.api import measurement_verdict as judged_measurement
@@ -48,7 +48,10 @@ def test_a_measurement_whose_noise_is_not_the_stated_one_is_not_good(ratio, stat
 def test_a_campaign_of_two_cases_is_not_good():
     lag = Hidden("servo_lag", "rig", {}, 30.0)
     right = Case(1, "one", None, [lag], [Found("servo_lag", "rig", {}, [])], False, 1.0, 1.0)
-    few, many = judged_campaign(campaign_figures([right] * 2)), judged_campaign(campaign_figures([right] * 400))
+    few, many = (
+        judged_campaign(campaign_rates_with_intervals([right] * 2)),
+        judged_campaign(campaign_rates_with_intervals([right] * 400)),
+    )
     assert few.state == "check" and "too few cases to decide" in few.why and "2 of 2" in few.why
     assert many.state == "good"
 

@@ -11,16 +11,16 @@ from rig.errors import NotEnoughData
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.pose import exp, log, pose_difference
 from tests.vision.drawn_observations import known, scene
-from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determined_combinations
-from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
-from vision.bundle.priors_of_unknowns import TERM_PRIOR, adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import (
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determinacy_of_adjusted_unknowns
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     UnknownName,
-    align_points,
+    estimate_after_step,
     offset_from_stated,
-    update_estimate,
+    rigid_transform_aligning_points,
 )
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import TERM_PRIOR, adjustment_unknowns
+from vision.bundle.bundle_adjustment import adjust_bundle
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import whitened_residuals_and_derivatives
 from vision.corner_observations import correlations_of_whitened_marker_corners, whitener_of_observations
 from vision.predict import State, marker_map, predict_corners
 
@@ -65,14 +65,14 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
         state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
     u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
     rng = np.random.default_rng(1)
-    estimate = update_estimate(
+    estimate = estimate_after_step(
         estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local))
     )  # not where moves are still zero
     _, found = whitened_residuals_and_derivatives(observations, estimate, u, whitener_of_observations(observations))
     shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
     up, down = (
-        whitened(observations, update_estimate(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1)
+        whitened(observations, estimate_after_step(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1)
     )
     expected = np.zeros_like(up)
     for d in found.values():
@@ -93,7 +93,7 @@ def test_optimum_equals_scipys(setting, free):
     u, estimate = adjustment_unknowns(observations, result.state, state, free)
 
     def residual(p):
-        moved = update_estimate(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
+        moved = estimate_after_step(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
         return np.r_[
             whitened(observations, moved.state).ravel(), (u.prior * offset_from_stated(moved, state, u))[u.prior > 0]
         ]
@@ -128,7 +128,9 @@ def test_markers_and_targets_off_their_places_are_found(setting):
     )  # another start, the same optimum
     np.testing.assert_allclose(freed.state.markers.corners[seen], found.corners[seen], atol=1e-7)
     shift = {
-        on: align_points(true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3))
+        on: rigid_transform_aligning_points(
+            true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3)
+        )
         for on in (False, True)
         for rows in [seen[before.on_platform[seen] == on]]
     }
@@ -192,9 +194,9 @@ def test_a_term_that_nothing_shows_stays_put(setting):
     for before, after in zip(state.cameras, result.state.cameras):
         assert abs(after.distortion[4] - before.distortion[4]) < 0.05
         assert sigma[UnknownName(Place("camera", after.name), "k3")] == pytest.approx(TERM_PRIOR["k3"], rel=0.05)
-    weak = determined_combinations(result).undetermined
+    weak = determinacy_of_adjusted_unknowns(result).undetermined
     assert {name for _, names in weak for name in names} >= {f"{camera.name} k3" for camera in state.cameras}
-    assert "not determined by this recording" in "\n".join(determined_combinations(result).lines())
+    assert "not determined by this recording" in "\n".join(determinacy_of_adjusted_unknowns(result).lines())
 
 
 def test_moving_camera_is_found_in_every_frame(setting):

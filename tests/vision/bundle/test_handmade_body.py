@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from rig.model.pose import log
 from tests.vision.handmade_body import Handmade, handmade
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
 from vision.bundle.marker_displacements import are_stated_places_doubtful, marker_displacements
-from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
@@ -30,7 +30,10 @@ def squares(made: Handmade, m: Measurement) -> np.ndarray:
     """
     stated, true = marker_map(made.stated), marker_map(made.true)
     a, out, seen = m.adjustment, [], m.adjustment.unknowns.seen
-    truth = align_points(true.corners[seen].reshape(-1, 3), stated.corners[seen].reshape(-1, 3)) * true.T_body_marker
+    truth = (
+        rigid_transform_aligning_points(true.corners[seen].reshape(-1, 3), stated.corners[seen].reshape(-1, 3))
+        * true.T_body_marker
+    )
     for row, columns in a.unknowns.markers.items():
         error = log(a.state.markers.T_body_marker[row].inv() * truth[row])
         out.append(error @ np.linalg.solve(a.shared_covariance[columns, columns], error))

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import camera_instrument_and_cube_entries, design_from_rig_toml
+from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries, design_from_rig_toml
 from rig.model.pose import log, pose_difference
 from tests.vision.tumbling_block import scene
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
     crossvalidate_adjustment,
-    determined_combinations,
+    determinacy_of_adjusted_unknowns,
 )
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
-from vision.bundle.unknowns_estimate_and_printing_errors import align_points
 from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
@@ -38,7 +38,7 @@ def datums(measured, true):
     seen, stated = a.unknowns.seen, a.stated.markers
     on = stated.on_platform[seen]
     return [
-        align_points(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3))
+        rigid_transform_aligning_points(true.markers.corners[rows].reshape(-1, 3), stated.corners[rows].reshape(-1, 3))
         for rows in (seen[~on], seen[on])
     ]
 
@@ -81,7 +81,7 @@ def test_held_out_frames_are_as_far_off_as_the_covariance_says(worked):
 
 
 def test_the_statement_names_who_holds_the_frames(worked):
-    lines = "\n".join(determined_combinations(worked[-1].adjustment).lines())
+    lines = "\n".join(determinacy_of_adjusted_unknowns(worked[-1].adjustment).lines())
     assert (
         "base frame is fixed by the stated positions of its markers as a whole" in lines
         and "camera poses as stated" in lines
@@ -123,6 +123,8 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
         ]
     )
     path = tmp_path / "rig.toml"
-    path.write_text(camera_instrument_and_cube_entries.replace_target_markers(text, adjusted_markers(m)))
+    path.write_text(
+        camera_instrument_experiment_and_cube_entries.rig_toml_with_target_markers_replaced(text, adjusted_markers(m))
+    )
     loaded = marker_map(design_from_rig_toml.load_design(path))
     np.testing.assert_allclose(loaded.corners, m.adjustment.state.markers.corners, atol=1e-8)

@@ -10,8 +10,8 @@ import pytest
 
 from tests.bench.false_findings import QuietCorners
 from vision.bundle.pose_covariance_of_correlated_corner_errors import (
-    pose_covariance_of_unlike_errors,
-    smooth_image_errors,
+    pose_covariance_by_estimated_corner_errors,
+    smooth_image_error_model_of_corners,
 )
 
 FRAMES, CAMERAS, SEEN = 120, 3, 24  # SEEN : corners of an image
@@ -35,7 +35,7 @@ def drawn_corners(frames=FRAMES, cameras=CAMERAS, seen=SEEN, base=0.0):
     local = np.concatenate([np.linalg.qr(part)[0] for part in np.split(jacobian.reshape(2 * count, 6), frames)])
     local[np.repeat(still, 2)] = 0
     edges = np.arange(frames + 1) * cameras * seen
-    errors = smooth_image_errors(
+    errors = smooth_image_error_model_of_corners(
         SimpleNamespace(frame=frame, camera=camera, uv=(1 + place) * [WIDTH / 2, HEIGHT / 2]),
         [SimpleNamespace(width=WIDTH, height=HEIGHT)] * cameras,
         np.arange(count),
@@ -77,7 +77,7 @@ def test_equal_and_independent_errors_are_told_from_no_others(corners):
     errors, local, edges, place, _ = corners
     for seed in range(20):
         _, rest = split(local, np.random.default_rng(seed).normal(size=place.shape))
-        assert pose_covariance_of_unlike_errors(errors, rest, local, edges) is None
+        assert pose_covariance_by_estimated_corner_errors(errors, rest, local, edges) is None
 
 
 @pytest.mark.parametrize("frames, cameras, seen", [(100, 1, 4), (300, 2, 4), (1000, 3, 8)])
@@ -85,7 +85,7 @@ def test_nor_are_they_in_frames_of_few_corners(frames, cameras, seen):
     errors, local, edges, place, _ = drawn_corners(frames, cameras, seen)
     for seed in range(10):
         _, rest = split(local, np.random.default_rng(seed).normal(size=place.shape), frames)
-        assert pose_covariance_of_unlike_errors(errors, rest, local, edges) is None
+        assert pose_covariance_by_estimated_corner_errors(errors, rest, local, edges) is None
 
 
 def test_corners_whose_covariance_is_not_their_own_say_nothing_of_the_errors():
@@ -93,7 +93,7 @@ def test_corners_whose_covariance_is_not_their_own_say_nothing_of_the_errors():
     errors_of_base = np.where(still, 0.2, 1.0)[:, None]
     for seed in range(10):
         _, rest = split(local, errors_of_base * np.random.default_rng(seed).normal(size=place.shape))
-        assert pose_covariance_of_unlike_errors(errors, rest, local, edges) is None
+        assert pose_covariance_by_estimated_corner_errors(errors, rest, local, edges) is None
 
 
 @pytest.mark.parametrize("law", [air, uneven, heavy], ids=lambda law: law.__name__)
@@ -103,7 +103,7 @@ def test_poses_scatter_as_the_covariance_says(corners, law):
     for seed in range(10):
         poses, rest = split(local, law(np.random.default_rng(seed), place, camera))
         seen += poses.T @ poses / FRAMES / 10
-        stated += pose_covariance_of_unlike_errors(errors, rest, local, edges).mean(axis=0) / 10
+        stated += pose_covariance_by_estimated_corner_errors(errors, rest, local, edges).mean(axis=0) / 10
     ratio = np.linalg.eigvals(np.linalg.solve(stated, seen)).real
     assert np.trace(seen) > 1.2 * 6  # equal and independent errors would make 6 of it
     assert ratio.min() > 0.7 and ratio.max() < 1.4
@@ -117,7 +117,7 @@ def test_memory_does_not_grow_as_the_square_of_the_cameras():
     try:
         errors, local, edges, place, _ = drawn_corners(frames, cameras, seen)
         _, rest = split(local, air + rng.normal(size=place.shape), frames)
-        assert pose_covariance_of_unlike_errors(errors, rest, local, edges) is not None
+        assert pose_covariance_by_estimated_corner_errors(errors, rest, local, edges) is not None
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -12,9 +12,13 @@ from rig.model.pose import exp, pose_difference
 from tests.numerical_derivatives import jacobian
 from tests.vision.drawn_observations import nees, scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
-from vision.bundle.normal_equations_and_corner_jacobians import whitened_residuals_and_derivatives
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import Printing, offset_from_stated, update_estimate
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
+    Printing,
+    estimate_after_step,
+    offset_from_stated,
+)
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import whitened_residuals_and_derivatives
 from vision.corner_observations import whitener_of_observations
 from vision.predict import State, marker_map, predict_corners
 from vision.recording_adjustment import measure_observations
@@ -53,7 +57,10 @@ def test_derivatives_of_prints_agree_with_differences(design):
     _, found = whitened_residuals_and_derivatives(observations, estimate, u, W)
     shared, local, h = rng.normal(size=u.shared), np.zeros((3, u.local)), 1e-3
     up, down = (
-        W(observations.uv - predict_corners(observations, update_estimate(estimate, u, s * h * shared, local).state)[0])
+        W(
+            observations.uv
+            - predict_corners(observations, estimate_after_step(estimate, u, s * h * shared, local).state)[0]
+        )
         for s in (1, -1)
     )
     expected = np.zeros_like(up)

@@ -7,9 +7,12 @@ import pytest
 
 from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.normal_equations_and_corner_jacobians import normal_equations, whitened_residuals_and_derivatives
-from vision.bundle.priors_of_unknowns import adjustment_unknowns
-from vision.bundle.unknowns_estimate_and_printing_errors import offset_from_stated
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import offset_from_stated
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    normal_equations,
+    whitened_residuals_and_derivatives,
+)
 from vision.corner_observations import (
     correlations_of_whitened_marker_corners,
     merge_repeated_corners,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from vision.corners.blurred_edge_image_model_and_numba_kernels import order_statistic
 from vision.corners.edge_pixels import MEETS, NONE, NOWHERE, VIEWS, pixel_edge_kinds
-from vision.corners.numba_kernels_and_predicted_cell_white_share import order_statistic
 from vision.predict import marker_cells
 
 LEFT, RIGHT, TOP, BOTTOM = 1, 2, 4, 8

@@ -7,9 +7,9 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
+from vision.corners.blurred_edge_image_model_and_numba_kernels import GRID
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, WIDTHS, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
-from vision.corners.numba_kernels_and_predicted_cell_white_share import GRID
 
 
 def test_plain_edges_are_odd_and_their_slope_is_theirs():

@@ -28,7 +28,7 @@ def test_it_is_the_lens_along_the_sides_of_a_large_marker(distortion, quad):
     middle = quad.mean(axis=0)
     scale = np.abs(quad - middle).max()
     terms = np.empty((1, 2, local_lens_and_fit_start.TERMS))
-    local_lens_and_fit_start.fit_local_polynomials(
+    local_lens_and_fit_start.fill_local_lens_polynomials(
         local_lens_and_fit_start.ideal_coordinate_table(camera), np.array([[*middle, scale]]), terms
     )
     share = np.linspace(0, 1, 9)[:, None]
@@ -43,7 +43,12 @@ def test_it_is_the_lens_along_the_sides_of_a_large_marker(distortion, quad):
     assert (
         np.abs(away.mean(axis=0) - away[::9].mean(axis=0)).max() < 4e-5
     )  # px that its corners would be off by; 5e-4 by cubic polynomials
-    back = np.array([local_lens_and_fit_start.ideal_to_pixel(terms[0], x, y, 0.0, 0.0)[:2] for x, y in near])
+    back = np.array(
+        [
+            local_lens_and_fit_start.local_ideal_to_local_pixel_and_derivatives(terms[0], x, y, 0.0, 0.0)[:2]
+            for x, y in near
+        ]
+    )
     assert np.abs(back - local).max() < 1e-9
 
 
@@ -51,7 +56,7 @@ def test_how_it_changes_is_its_derivative():
     terms, step = np.random.default_rng(0).normal(size=(2, local_lens_and_fit_start.TERMS)) * 0.02, 1e-6
     terms[0, 1] = terms[1, 2] = 1.0
     at = local_lens_and_fit_start.pixel_to_ideal(terms, 0.3, -0.4)
-    found = local_lens_and_fit_start.ideal_to_pixel(terms, *at, 0.3, -0.4)
+    found = local_lens_and_fit_start.local_ideal_to_local_pixel_and_derivatives(terms, *at, 0.3, -0.4)
 
     def ideal(u, v):
         return np.array(local_lens_and_fit_start.pixel_to_ideal(terms, u, v))

@@ -11,7 +11,7 @@ from rig.model.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, detect_markers, fit_read_markers
-from vision.predict import marker_map, markers_expected_in_image
+from vision.predict import expected_marker_rows_and_corners_in_image, marker_map
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def cube_scene(design, at, dictionary=NAME):
         Marker(4, 0.06, pose([0.5, 0, 0.9], [np.pi, 0, 0]), 0.008),
     )
     markers = marker_map(replace(design, targets=(Target("t", "platform", dictionary, listed=listed),)))
-    _, (corners,) = markers_expected_in_image(view, at, markers)
+    _, (corners,) = expected_marker_rows_and_corners_in_image(view, at, markers)
     image = picture(corners, dictionary, 3) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE))
     return view, markers, corners, np.clip(image, 0, 255).astype(np.uint8)
 

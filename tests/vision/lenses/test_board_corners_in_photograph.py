@@ -10,13 +10,13 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import multivariate_normal
 
 from rig.errors import RigError
-from rig.model.calibration_board import parse_board
+from rig.model.calibration_board_layout_and_description_parsing import parse_board
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from tests.numerical_derivatives import jacobian
 from vision import lens
-from vision.lenses import board_corners_in_photograph
-from vision.lenses.board_corners_in_photograph import find_board_corners
+from vision.lenses import calibration_board_corner_detection_in_photograph
+from vision.lenses.calibration_board_corner_detection_in_photograph import find_board_corners
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
 PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
@@ -87,7 +87,7 @@ def test_a_lens_that_is_not_taken_out_bends_the_corners():
 
 
 def test_share_is_the_bivariate_normals():
-    rng, share = np.random.default_rng(0), board_corners_in_photograph.edge_crossing_white_share
+    rng, share = np.random.default_rng(0), calibration_board_corner_detection_in_photograph.edge_crossing_white_share
     h, k = rng.uniform(-3, 3, (2, 20))
     for rho in (-0.7, 0.0, 0.4):
         normal = multivariate_normal([0, 0], [[1, rho], [rho, 1]])

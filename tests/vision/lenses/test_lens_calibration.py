@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
-from rig.model.calibration_board import parse_board
+from rig.model.calibration_board_layout_and_description_parsing import parse_board
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from vision import lens
-from vision.lenses.board_corners_in_photograph import BoardView
+from vision.lenses.calibration_board_corner_detection_in_photograph import BoardView
 from vision.lenses.lens_calibration import (
     calibrate_lens,
     choose_simplest_adequate_lens_model,
@@ -99,7 +99,7 @@ def test_uncertainty_of_projection_holds_and_grows_where_nothing_was_seen():
         ideal = lens.undistort(uv, TRUE.matrix, TRUE.distortion)
         points = np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=-1)
         shift = lens.project(points, fit.camera.matrix, fit.camera.distortion) - uv
-        _, J, _ = lens.project_jacobian(points, TRUE.matrix, TRUE.distortion)
+        _, J, _ = lens.projected_pixels_and_jacobians(points, TRUE.matrix, TRUE.distortion)
         turn = np.stack([(J @ np.cross(axis, points)[..., None])[..., 0] for axis in np.eye(3)], axis=-1)
         x = np.linalg.lstsq(turn.reshape(-1, 3), shift.ravel(), rcond=None)[0]
         errors.append(((shift - turn @ x) ** 2).mean(axis=-1))

@@ -8,7 +8,7 @@ from vision.pose.pose_refinement_and_ambiguity_resolution import (
     neighbour_rotation_scatter,
     pose_from_neighbours,
     rotation_angle_between_poses,
-    rotation_outliers,
+    rotation_outlier_reasons_by_frame,
 )
 
 
@@ -51,7 +51,10 @@ def test_a_body_that_leaps_vouches_for_nothing():
     found = dict(enumerate(RigidTransform.from_rotation(Rotation.random(40, rng=rng)).as_matrix()))
     t = np.arange(40) * 0.05
     T = found.pop(20)
-    assert choose_poses_by_neighbours(found, {20: [T, flipped(T)]}, t) == {} and rotation_outliers(found, t) == {}
+    assert (
+        choose_poses_by_neighbours(found, {20: [T, flipped(T)]}, t) == {}
+        and rotation_outlier_reasons_by_frame(found, t) == {}
+    )
 
 
 def test_frames_far_apart_in_time_say_nothing():
@@ -69,6 +72,6 @@ def test_frames_far_apart_in_time_say_nothing():
 def test_a_flip_among_solved_frames_stands_out():
     t, found = track()
     found[33] = flipped(found[33])
-    odd = rotation_outliers(found, t)
+    odd = rotation_outlier_reasons_by_frame(found, t)
     assert set(odd) == {33} and "69 degrees" in odd[33]
     assert rotation_angle_between_poses(found[33], track()[1][33]) > 1.1

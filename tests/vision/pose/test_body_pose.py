@@ -9,7 +9,7 @@ from rig.model.design import Marker, Target
 from rig.model.pose import pose, pose_difference
 from tests.vision import tumbling_block
 from tests.vision.drawn_observations import known, nees, scene
-from vision.pose.body_pose import BodyCorners, body_pose_from_corners, undistort_corners
+from vision.pose.body_pose import BodyCorners, body_pose_from_corners, undistorted_corners_and_covariance
 from vision.predict import marker_map
 
 
@@ -18,7 +18,7 @@ def view_of(observations, design, frame, keep=None):
     if keep is not None:
         rows = rows[keep(observations, rows)]
     markers = marker_map(design)
-    ideal, covariance = undistort_corners(
+    ideal, covariance = undistorted_corners_and_covariance(
         observations.uv[rows], observations.covariance[rows], observations.camera[rows], design.cameras
     )
     normals = markers.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker[rows]]

@@ -15,10 +15,10 @@ from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection_and_corner_fit
 from vision.predict import marker_map
-from vision.reading import marker_identity_and_expected_places
-from vision.reading import recording_corners as collecting
-from vision.reading.marker_identity_and_expected_places import find_suspicious_markers
-from vision.reading.recording_corners import LEARN_FROM, collect_corners
+from vision.reading import corner_reading_from_recording_images as collecting
+from vision.reading import marker_identity_mistakes_and_expected_marker_places
+from vision.reading.corner_reading_from_recording_images import LEARN_FROM, read_corners_of_all_images
+from vision.reading.marker_identity_mistakes_and_expected_marker_places import find_suspicious_markers
 from vision.recording_measurement import measure_recording
 
 FRAMES = 28
@@ -83,10 +83,10 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
         values = recording.commands.values + 0.02 * np.random.default_rng(1).normal(size=(FRAMES, 6))
         recording = replace(recording, commands=Commands(recording.commands.t, values))
     markers = marker_map(recording.design)
-    found = collect_corners(recording, markers)
+    found = read_corners_of_all_images(recording, markers)
     assert len(searches) == LEARN_FROM and found.left_out == []
-    monkeypatch.setattr(marker_identity_and_expected_places, "learn_expected_places", lambda *_: None)
-    whole = collect_corners(recording, markers)
+    monkeypatch.setattr(marker_identity_mistakes_and_expected_marker_places, "learn_expected_places", lambda *_: None)
+    whole = read_corners_of_all_images(recording, markers)
     assert len(searches) == 2 * LEARN_FROM + FRAMES - LEARN_FROM
 
     def keyed(c):
@@ -123,9 +123,11 @@ def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeyp
     )
     taught = replace(camera, distortion=camera.distortion + 1e-4)
     monkeypatch.setattr(
-        marker_identity_and_expected_places,
+        marker_identity_mistakes_and_expected_marker_places,
         "learn_expected_places",
-        lambda *_: marker_identity_and_expected_places.Expectation((taught,), markers, dict(enumerate(T))),
+        lambda *_: marker_identity_mistakes_and_expected_marker_places.Expectation(
+            (taught,), markers, dict(enumerate(T))
+        ),
     )
 
     def placed(full, camera, *arguments, **options):
@@ -133,7 +135,7 @@ def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeyp
         return place(full, camera, *arguments, **options)
 
     monkeypatch.setattr(collecting, "fit_read_markers", placed)
-    found = collect_corners(recording, markers)
+    found = read_corners_of_all_images(recording, markers)
     assert len({image for anew, image in by if anew}) == LEARN_FROM and by[-1][0]  # once each, after all that taught
     assert found.cameras == {camera.name: taught}
 
@@ -165,14 +167,14 @@ def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, 
             for place in places[: 1 if case == "hidden" else 3]:
                 cv2.fillConvexPoly(image, place.astype(np.int32), 120)
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
-    found = collect_corners(replace(recording, folder=tmp_path), marker_map(recording.design))
+    found = read_corners_of_all_images(replace(recording, folder=tmp_path), marker_map(recording.design))
     assert len(searches) == LEARN_FROM + searched and found.left_out == []
 
 
 def expect_places(recording, T):
-    from vision.predict import markers_expected_in_image
+    from vision.predict import expected_marker_rows_and_corners_in_image
 
-    return markers_expected_in_image(recording.design.cameras[0], T, marker_map(recording.design))
+    return expected_marker_rows_and_corners_in_image(recording.design.cameras[0], T, marker_map(recording.design))
 
 
 @pytest.mark.parametrize("case", [pytest.param("two faces exchanged", marks=pytest.mark.slow), "another identity"])
@@ -193,7 +195,7 @@ def test_what_is_not_as_stated_is_still_found_and_named(drawn, searches, tmp_pat
     assert (
         len(searches) == FRAMES
     )  # each of them: the teaching ones, and those where something is not where it should be
-    from vision.reading.recording_corners import image_reader
+    from vision.reading.corner_reading_from_recording_images import image_reader
 
     named = {
         (s.marker, s.kind, s.other)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from rig.driving.cameras.camera_opening import USUAL
+from rig.driving.cameras.camera_opening_with_folder_and_emulator_sources import USUAL
 from rig.driving.clock import SimulatedClock
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
@@ -17,13 +17,13 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
-from synthetic import secret_machine_and_truth_file
-from synthetic.emulated_cameras import EmulatedCameras
+from synthetic import random_true_machine_and_truth_file
+from synthetic.emulated_camera_images_sensors_and_server_process import EmulatedCameras
 from synthetic.image_simulation import Images
 from tests.vision import camera_on_platform
 from vision.reading import live_measurement_and_corner_refit as module
+from vision.reading.corner_reading_from_recording_images import read_image
 from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
-from vision.reading.recording_corners import read_image
 
 ALL = "tests/data/bench/fit"
 
@@ -90,7 +90,7 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     (tmp_path / "rig.toml").write_text(camera_on_platform.text())
     design = design_from_rig_toml.load_design(tmp_path / "rig.toml")
     secret, strokes = (
-        secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(2)),
+        random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(2)),
         design.mechanism.strut_range,
     )
     goals = sobol_configurations(strokes, TAUGHT[0] + 4, 0.5, 1)

@@ -9,9 +9,13 @@ import pytest
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.model.pose import pose_difference
 from tests.vision.drawn_observations import nees, scene
-from vision.predict import marker_cells, marker_map, markers_expected_in_image
-from vision.reading.marker_identity_and_expected_places import Suspect, find_suspicious_markers, no_marker_reason
-from vision.reading.recording_corners import Collected, Unplaced
+from vision.predict import expected_marker_rows_and_corners_in_image, marker_cells, marker_map
+from vision.reading.corner_reading_from_recording_images import Collected, Unplaced
+from vision.reading.marker_identity_mistakes_and_expected_marker_places import (
+    Suspect,
+    find_suspicious_markers,
+    no_marker_reason,
+)
 from vision.recording_adjustment import measure_observations
 
 
@@ -118,7 +122,7 @@ def printed(camera, T, markers, as_another):
     other}.
     """
     image = np.full((camera.height, camera.width), 128, np.uint8)
-    for row, quad in zip(*markers_expected_in_image(camera, T, markers)):
+    for row, quad in zip(*expected_marker_rows_and_corners_in_image(camera, T, markers)):
         cells = marker_cells(markers.dictionary[row], as_another.get(int(markers.id[row]), int(markers.id[row])))
         n, big = len(cells) - 4, np.kron(cells * 255, np.ones((12, 12))).astype(np.uint8)
         inner = np.array([[1, 1], [n + 3, 1], [n + 3, n + 3], [1, n + 3]], np.float32) * 12 - 0.5

@@ -13,8 +13,8 @@ from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.conftest import BENCH, make_recording
 from vision.predict import marker_map
-from vision.reading.live_measurement_and_corner_refit import SETTLED, largest_lens_difference
-from vision.reading.recording_corners import collect_corners
+from vision.reading.corner_reading_from_recording_images import read_corners_of_all_images
+from vision.reading.live_measurement_and_corner_refit import SETTLED, largest_pixel_shift_between_lenses
 from vision.recording_measurement import measure_recording
 
 
@@ -43,7 +43,7 @@ def test_poses_from_images_are_within_their_covariance(measured):
 
 
 def test_a_second_look_adds_markers_in_their_places(check, measured):
-    first = collect_corners(check, marker_map(check.design))
+    first = read_corners_of_all_images(check, marker_map(check.design))
     m, second = measured
     assert len(second.corners.frame) > len(first.corners.frame)
     added = np.arange(len(second.corners.frame)) >= len(first.corners.frame)
@@ -62,27 +62,27 @@ def test_corners_are_placed_by_the_lens_as_measured(check, measured):
     stated, true = check.design.cameras, m.design.cameras
     first = replace(second, cameras={camera.name: camera for camera in stated})
     assert (
-        largest_lens_difference(second.corners, second.cameras, true)
+        largest_pixel_shift_between_lenses(second.corners, second.cameras, true)
         < SETTLED
-        < largest_lens_difference(first.corners, first.cameras, true)
+        < largest_pixel_shift_between_lenses(first.corners, first.cameras, true)
     )
-    assert largest_lens_difference(first.corners, first.cameras, stated) == 0
+    assert largest_pixel_shift_between_lenses(first.corners, first.cameras, stated) == 0
     bent = [
         [replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)
     ]
-    assert largest_lens_difference(first.corners, first.cameras, bent[1]) == pytest.approx(
-        2 * largest_lens_difference(first.corners, first.cameras, bent[0]), rel=0.02
+    assert largest_pixel_shift_between_lenses(first.corners, first.cameras, bent[1]) == pytest.approx(
+        2 * largest_pixel_shift_between_lenses(first.corners, first.cameras, bent[0]), rel=0.02
     )
     shifted = [replace(camera, matrix=camera.matrix + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]) for camera in stated]
     assert (
-        largest_lens_difference(first.corners, first.cameras, shifted)
-        < largest_lens_difference(first.corners, first.cameras, bent[0]) / 2
+        largest_pixel_shift_between_lenses(first.corners, first.cameras, shifted)
+        < largest_pixel_shift_between_lenses(first.corners, first.cameras, bent[0]) / 2
     )  # it moves a marker as a whole
 
 
 def test_progress_counts_every_image(check):
     calls = []
-    collect_corners(check, marker_map(check.design), lambda done, of: calls.append((done, of)))
+    read_corners_of_all_images(check, marker_map(check.design), lambda done, of: calls.append((done, of)))
     assert calls == [(i, 18) for i in range(1, 19)]
 
 
@@ -92,7 +92,7 @@ def test_an_image_that_cannot_be_decoded_is_named(tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[:2000] + b"\0" * 20000 + whole[-60:])  # head and tail are sound
     with pytest.raises(FileError, match="00001.png"):
-        collect_corners(
+        read_corners_of_all_images(
             recording_folder.load_recording(tmp_path / "rec"),
             marker_map(recording_folder.load_recording(tmp_path / "rec").design),
         )

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import ARM, SelectionPolicy, StatedTerms
-from calib.diagnosis.engine.confirmation_against_alternatives import labelled_progress
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM, SelectionPolicy, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import (
     FOLDS,
     STRETCHES,
@@ -20,11 +19,15 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.forward_and_backward_term_selection import (
+    remove_redundant_terms,
+    select_and_fit_terms_without_alternatives,
+)
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
-from calib.diagnosis.engine.term_selection import fit_selected_terms, remove_redundant_terms
-from calib.diagnosis.problems.arm import lack_of_fit_and_unlisted_effects as remainder
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import labelled_progress
+from calib.diagnosis.problems.arm import arm_lack_of_fit_covariates_and_joint_formulas as remainder
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import has_continuous_parameters
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     JointCandidate,
@@ -42,7 +45,7 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     refine_knots_and_parameters,
     simplify_profiles,
 )
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term, fit_terms_to_poses
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
     candidate_column_at_scanned_parameters,
     candidate_with_grid_nodes,
@@ -243,7 +246,7 @@ def held_out_poses_by_nested_selection(
         part = parts[one[0]] == one[1]
         with threadpool_limits(1):
             chosen, bare = (
-                fit_selected_terms(replace(problem, train=retained & ~part)),
+                select_and_fit_terms_without_alternatives(replace(problem, train=retained & ~part)),
                 fit_terms_to_poses(arms, (), retained & ~part),
             )
         return (

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import (
     NO_STATED_TERMS,
     Crowd,
     LeftOut,
@@ -19,11 +19,16 @@ from calib.diagnosis.engine.candidate_threshold_and_outlier_types import (
     Outliers,
     StatedTerms,
 )
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
+from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.term_selection import Selection
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
+from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import (
+    excess_scatter_over_stated_noise,
+    ranked_covariates,
+    suggest_joint_formulas,
+)
 from calib.diagnosis.problems.arm.arm_problem import (
     COARSE_PARTS,
     FINE_PARTS,
@@ -41,13 +46,16 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     fit_of_effects_shown_by_instruments,
     joint_candidates,
 )
-from calib.diagnosis.problems.arm.lack_of_fit_and_unlisted_effects import (
-    excess_scatter_over_stated_noise,
-    ranked_covariates,
-    suggest_joint_formulas,
-)
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry, linearise_poses
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, term_columns
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, term_columns
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    Repeats,
+    Suggestion,
+    axis_speeds,
+    repeatability_of_pairs,
+    smoothed_temperatures_and_errors,
+    time_cosines,
+)
 from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
@@ -67,14 +75,6 @@ from calib.diagnosis.problems.pose_noise_excess import (
     noise_covariance_by_kind,
     noise_factors,
     scaled_pose_covariance,
-)
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
-    Repeats,
-    Suggestion,
-    axis_speeds,
-    repeatability_of_pairs,
-    smooth_temperatures,
-    time_cosines,
 )
 from calib.identify.bounded_least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import UNSTATED, JointFit
@@ -154,7 +154,7 @@ class ArmEvidence(FieldSummaryRepr):
     without them, so that all is as if they had never been measured
     source : of the poses; requested : RequestedEffects; given : what is said beforehand
     stretches : of time, how many are held out, one number for each HeldOutPoses
-    log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smooth_temperatures`
+    log_errors : {channel: (rows, q) K} of the smoothed temperatures, see `smoothed_temperatures_and_errors`
     stated : whether rig.toml or poses.csv state the noise of the poses, which cameras do not measure
     noise_times : {kind of noise: Value} by which the poses' covariance was scaled, over what is stated
     instrument_fit : JointFit of what instruments show by themselves, which was fitted before the search, or None"""
@@ -329,7 +329,7 @@ def arm_evidence(
     instrument_fit = fit_of_effects_shown_by_instruments(recording, known) if fresh else None
     if instrument_fit is not None:
         known = replace(known, samples=instrument_fit.samples)
-    sensors, log_errors = smooth_temperatures(recording.sensors)
+    sensors, log_errors = smoothed_temperatures_and_errors(recording.sensors)
     sight = None
     if known.measurement is not None and isinstance(recording.design.mechanism, Arm):
         sight = partial(predict_pose_uncertainty, known.measurement, recording.design)

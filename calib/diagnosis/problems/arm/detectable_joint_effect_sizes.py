@@ -2,17 +2,20 @@
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Threshold
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
 from calib.diagnosis.engine.cross_validation_and_chance import Dispersion, residual_dispersion
-from calib.diagnosis.engine.reduced_least_squares import FrameProducts, normal_equations_by_direction_weights
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
+    FrameProducts,
+    normal_equations_by_direction_weights,
+)
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import axis_unit
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     JointCandidate,
     effect_candidate_of_node,
 )
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit
 from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.detectable_effect_sizes import (
     DetectableSize,

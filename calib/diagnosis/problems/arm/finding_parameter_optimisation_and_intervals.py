@@ -15,10 +15,13 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_solve
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.reduced_least_squares import normal_equations_by_direction_weights, solve_with_prior
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
+    normal_equations_by_direction_weights,
+    solve_with_prior,
+)
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     SPAN,
     Form,
@@ -26,7 +29,7 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     joint_candidate,
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term
 from calib.diagnosis.problems.arm.scores_of_all_candidates import (
     joint_motion_normal_equations_by_frame,
     solve_candidate_at_nodes,
@@ -284,7 +287,7 @@ def _cycle(fit: Fit, finding: Finding[JointCandidate], theta: Floats) -> dict[st
 def term_errors_by_temperature_logs(fit: Fit, term_number: int, log_errors: Mapping[str, Floats]) -> Floats:
     """Errors (c, q) of a term's sizes per standard deviation of the temperature logs' errors.
 
-    log_errors : {channel: (rows, r)} of the log, as `smooth_temperatures` gives them
+    log_errors : {channel: (rows, r)} of the log, as `smoothed_temperatures_and_errors` gives them
     """
     arms, sensors, here = fit.arms, fit.arms.context.sensors, fit.slices[term_number]
     none = np.zeros((here.stop - here.start, 0))

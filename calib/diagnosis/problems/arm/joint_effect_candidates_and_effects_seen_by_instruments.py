@@ -10,13 +10,16 @@ from enum import Enum
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Candidate, Node, NotTested
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Candidate, Node, NotTested
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import (
     minimum_pose_count,
     most_parameters_of_candidate,
+)
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    smoothed_temperatures_and_errors,
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     EffectSites,
@@ -24,9 +27,8 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     Value,
 )
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
 from calib.models.arm.certification import UNPLACED, start_arm_of_fit
-from calib.models.arm.error_model_and_observations import sample_observations
+from calib.models.arm.error_model_and_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
 from calib.models.arm.pointing_terms import tube_flexure_effect
 from calib.samples.pose_samples import Sampled
@@ -303,8 +305,8 @@ def fit_of_effects_shown_by_instruments(recording: Recording, sampled: Sampled) 
     if not effects or recording.commands is None:
         return None
     samples, arm = sampled.samples, require_arm(recording.design.mechanism)
-    history = History(recording.design, recording.commands, smooth_temperatures(recording.sensors)[0])
-    start = start_arm_of_fit(sample_observations(samples), arm, sampled.instrument)
+    history = History(recording.design, recording.commands, smoothed_temperatures_and_errors(recording.sensors)[0])
+    start = start_arm_of_fit(observations_of_samples(samples), arm, sampled.instrument)
     return fit_geometry_and_effects(samples, history, start, effects)
 
 

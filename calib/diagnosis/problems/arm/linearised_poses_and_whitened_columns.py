@@ -15,12 +15,12 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.physics_compensation import poses_with_predicted_rotations
+from calib.correction.physical_effects_of_calibration_and_their_compensation import poses_with_predicted_rotations
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import require_enough_poses
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import repeated_pairs
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import row_pairs_with_same_command
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, sample_observations
+from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, observations_of_samples
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.chain.error_model_and_identification import identify_chain
 from calib.samples.pose_samples import Samples
@@ -77,7 +77,7 @@ class Arms(FieldSummaryRepr):
 
     def repeated(self, rows: Integers | Booleans) -> Integers:
         """Pairs (p, 2) of some of the poses, an index or mask (n,), that repeat a command, of one hand each."""
-        pairs = repeated_pairs(self.q[rows], self.context.moved().units)
+        pairs = row_pairs_with_same_command(self.q[rows], self.context.moved().units)
         if self.hand is None:
             return pairs
         return pairs[self.hand[rows][pairs[:, 0]] == self.hand[rows][pairs[:, 1]]]
@@ -233,7 +233,7 @@ Linear = tuple[Geometry, Floats, Floats, Floats, Floats]  # with what is left, f
 def _of_arm(samples: Samples, design: Design) -> Linear:
     """Linear about an arm: its independent parameters are the freedoms."""
     _, found = calibrate_arm(samples, require_arm(design.mechanism), design.instrument, profiles=False)
-    observations, free = sample_observations(samples), found.free
+    observations, free = observations_of_samples(samples), found.free
     return (
         Geometry(
             found.arm,

@@ -6,11 +6,11 @@ end in a set that others, admitted together, beat.
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import StatedTerms
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import StatedTerms
+from calib.diagnosis.engine.forward_and_backward_term_selection import remove_redundant_terms
 from calib.diagnosis.engine.problem_interface import Problem
-from calib.diagnosis.engine.term_selection import remove_redundant_terms
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import JointCandidate
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit, Term, fit_terms_to_poses
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term, fit_terms_to_poses
 from rig.array_and_json_types import Booleans
 
 FEWEST = 2  # load terms, from which they are chosen anew

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import score_at_node
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
-from calib.diagnosis.engine.linear_model import Column
-from calib.diagnosis.engine.reduced_least_squares import (
+from calib.diagnosis.engine.candidate_scores_and_their_significance import score_at_node
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     Normal,
     Solved,
@@ -20,12 +19,13 @@ from calib.diagnosis.engine.reduced_least_squares import (
     sinusoid_sums,
     solve_with_prior,
 )
+from calib.diagnosis.engine.linear_model import Column
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     Form,
     JointCandidate,
     JointScore,
 )
-from calib.diagnosis.problems.arm.projected_pose_residuals import Fit
+from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit
 from rig.array_and_json_types import Floats, Integers
 
 CHUNK = 96  # nodes at a time

@@ -5,10 +5,10 @@ from functools import cache
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Threshold
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
 from calib.diagnosis.engine.cross_validation_and_chance import Dispersion, residual_dispersion
-from calib.diagnosis.engine.reduced_least_squares import (
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     Normal,
     normal_equations_by_common_weights,

@@ -12,8 +12,14 @@ from typing import cast
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_score import Score
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Candidate, Node, NotTested, Role, UsualRange
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import (
+    Candidate,
+    Node,
+    NotTested,
+    Role,
+    UsualRange,
+)
 from calib.diagnosis.engine.linear_model import Column, join_columns
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint

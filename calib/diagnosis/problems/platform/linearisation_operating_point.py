@@ -11,7 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import smooth_temperatures
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    smoothed_temperatures_and_errors,
+)
 from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
@@ -55,7 +57,9 @@ class SeenCorners(FieldSummaryRepr):
 
     def take(self, rows: Booleans) -> "SeenCorners":
         """The same with only the corners of an index or mask (n,)."""
-        return replace(group_sightings(self.observations.take(rows), self.markers), stated=self.stated)
+        return replace(
+            observations_grouped_into_sightings(self.observations.take(rows), self.markers), stated=self.stated
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -71,7 +75,7 @@ class OperatingPoint(FieldSummaryRepr):
         nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
-    log_errors : {channel: (n, q)} of the sensors' temperatures, see `smooth_temperatures`
+    log_errors : {channel: (n, q)} of the sensors' temperatures, see `smoothed_temperatures_and_errors`
     seats : by which cubes that were put back sit off where they are stated; assumed : whether the noise is not stated
     of poses that an instrument measured, so that a usual figure stands for it
     """
@@ -223,7 +227,7 @@ def operating_point_of_recording(
     Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring
         raises
     """
-    design, (sensors, log_errors) = recording.design, smooth_temperatures(recording.sensors)
+    design, (sensors, log_errors) = recording.design, smoothed_temperatures_and_errors(recording.sensors)
     kind = design.mechanism.kind
     if kind not in KINDS:
         raise RigError(
@@ -319,7 +323,7 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
     retained = replace(
         retained, frames=measured.frames, frame=np.searchsorted(measured.frames, retained.frames[retained.frame])
     )
-    return group_sightings(
+    return observations_grouped_into_sightings(
         retained, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated)
     )
 
@@ -337,7 +341,7 @@ def remove_corners_far_from_prediction(point: OperatingPoint) -> OperatingPoint:
     return point if near.all() else replace(point, seen=seen.take(near))
 
 
-def group_sightings(observations: Observations, markers: MarkerMap) -> SeenCorners:
+def observations_grouped_into_sightings(observations: Observations, markers: MarkerMap) -> SeenCorners:
     """SeenCorners of observations (n,), grouped into sightings."""
     key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (
         len(markers.id) + 1

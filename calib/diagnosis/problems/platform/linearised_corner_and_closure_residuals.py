@@ -25,8 +25,8 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     split_rows_by_frame_bases,
 )
 from calib.models.platform.closed_loop_equations import (
+    add_length_resolution_to_loop_covariance,
     loop_covariance,
-    loop_covariance_with_length_resolution,
     scatter_of_redundant_struts,
 )
 from calib.models.platform.identification import PRIOR
@@ -35,10 +35,10 @@ from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,
     loop_closure_parameter_jacobian,
-    strut_length_jacobian,
+    strut_or_axis_jacobian_by_pose,
 )
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
-from vision.bundle.pose_covariance_of_correlated_corner_errors import pose_covariance_of_unlike_errors
+from vision.bundle.pose_covariance_of_correlated_corner_errors import pose_covariance_by_estimated_corner_errors
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
@@ -242,7 +242,7 @@ def _corner_frames(
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
     projected, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
     inner = np.concatenate([projected, rows.inner / sigma], axis=2)
-    spread = pose_covariance_of_unlike_errors(rows.smooth, rows.without_nuisances(left[:, 0]), local, edges)
+    spread = pose_covariance_by_estimated_corner_errors(rows.smooth, rows.without_nuisances(left[:, 0]), local, edges)
     return (
         CornerFrames(
             rows.order, edges, rows.whiten, local, rows.to_local * sigma, inner, sigma, excess, clip, reach, spread
@@ -253,12 +253,12 @@ def _corner_frames(
 
 def _closures(k: OperatingPoint, frames: CornerFrames, scattered: Floats | None) -> _Closures:
     m = k.platform
-    A = strut_length_jacobian(k.T, m)
+    A = strut_or_axis_jacobian_by_pose(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
     if k.own is not None:
         covariance = loop_covariance(A, k.own)
     else:
-        covariance = loop_covariance_with_length_resolution(frames.pose_covariance(to_length))
+        covariance = add_length_resolution_to_loop_covariance(frames.pose_covariance(to_length))
     inner = frames.inner
     rows = np.concatenate(
         [

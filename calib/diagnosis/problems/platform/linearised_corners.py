@@ -16,14 +16,17 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.design import Design
 from vision import lens
-from vision.bundle.normal_equations_and_corner_jacobians import (
-    corner_jacobians,
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    corner_jacobians_to_poses_and_lens_by_camera,
     iterate_camera_jacobians,
     rotate_jacobian,
     small_motion_jacobian,
 )
-from vision.bundle.pose_covariance_of_correlated_corner_errors import SmoothImageErrors, smooth_image_errors
-from vision.bundle.priors_of_unknowns import stated_lens_prior_sigmas
+from vision.bundle.pose_covariance_of_correlated_corner_errors import (
+    SmoothImageErrors,
+    smooth_image_error_model_of_corners,
+)
 from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
 
 CLIP = 5.0  # standard deviations for which a corner's residual counts at most
@@ -173,7 +176,7 @@ def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> Corne
     edges = np.searchsorted(o.frame[order], np.arange(len(point.t) + 1))
     at = np.argsort(order)  # where each corner stands, frame by frame
     J_local, found = np.zeros((n, 2, L)), _Nuisances()
-    for i, rows, J_platform, J_camera, J_lens in corner_jacobians(o, point.state):
+    for i, rows, J_platform, J_camera, J_lens in corner_jacobians_to_poses_and_lens_by_camera(o, point.state):
         camera = point.stated.cameras[i]
         J_local[at[rows], :, :6] = whitener[rows] @ J_platform
         blocks = [
@@ -213,7 +216,7 @@ def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> Corne
         found.names,
         found.priors,
         found.camera_columns,
-        smooth_image_errors(
+        smooth_image_error_model_of_corners(
             o, point.stated.cameras, order, edges, lambda columns: whitener[order] @ columns, local, stated[::2]
         ),
     )
@@ -312,7 +315,8 @@ def repeated_corner_error(point: OperatingPoint) -> float:
     It is 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
-    not pass for it. See vision.bundle.robust_adjustment.inflate_repeated_corner_covariance, which asks the same of
+    not pass for it. See vision.bundle.robust_adjustment.repeated_corner_covariance_and_systematic_error, which asks
+    the same of
     their mean square
     """
     k = point

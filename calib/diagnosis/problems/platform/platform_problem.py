@@ -9,19 +9,31 @@ from typing import Self
 
 import numpy as np
 
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import PLATFORM, SelectionPolicy, StatedTerms
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import (
+    PLATFORM,
+    SelectionPolicy,
+    StatedTerms,
+)
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
-from calib.diagnosis.engine.term_selection import Selection
-from calib.diagnosis.problems.platform import lack_of_fit_beyond_all_candidates as remainder
-from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_columns
+from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
+from calib.diagnosis.problems.platform import platform_lack_of_fit_excess_scatter_and_covariates as remainder
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     PlatformScore,
     Sensitivities,
     effect_parameter_directions,
+)
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
+    Refinement,
+    add_term,
+    operating_point_without_term,
+    refine_at_fixed_repeated_corner_error,
+    refine_operating_point,
+    refinement_without_moving,
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
@@ -30,18 +42,13 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
     LinearisedModel,
     linearise,
 )
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import cross_validate_effects
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import cross_validate_effects
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.screening_of_alternatives import screened_alternatives
-from calib.diagnosis.problems.platform.simultaneous_refinement import (
-    Refinement,
-    add_term,
-    operating_point_without_term,
-    refine_at_fixed_repeated_corner_error,
-    refine_operating_point,
-    refinement_without_moving,
+from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras_and_markers import (
+    model_with_smooth_functions,
+    smooth_function_columns,
 )
-from calib.diagnosis.problems.platform.smooth_functions import model_with_smooth_functions, smooth_function_columns
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
@@ -81,15 +88,19 @@ class PlatformProblem(FieldSummaryRepr):
         if self.tolerant:
             return False
         model = fit.refined.marginalised
-        found = marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
+        found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, self.sensitivities)
         if found is None:
             return False
         seen = found.projected(model)
-        if not marker_and_thermometer_tolerance_columns.tolerances_explain_residuals(seen, found.sigma):
+        if not marker_and_thermometer_tolerance_model_and_significance.tolerances_explain_residuals(seen, found.sigma):
             return False
-        return best is None or marker_and_thermometer_tolerance_columns.log_likelihood_ratio_with_tolerances(
-            seen, found.sigma
-        ) > float(best.raw_delta_bic(model.size))
+        return (
+            best is None
+            or marker_and_thermometer_tolerance_model_and_significance.log_likelihood_ratio_with_tolerances(
+                seen, found.sigma
+            )
+            > float(best.raw_delta_bic(model.size))
+        )
 
     def with_tolerances(self) -> Self:
         other = replace(self, tolerant=True)
@@ -133,11 +144,15 @@ class PlatformProblem(FieldSummaryRepr):
     def model_beyond_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
         found = (
-            marker_and_thermometer_tolerance_columns.tolerance_model(model, self.sensitivities)
+            marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, self.sensitivities)
             if self.tolerant
             else None
         )
-        return model if found is None else marker_and_thermometer_tolerance_columns.model_with_tolerances(model, found)
+        return (
+            model
+            if found is None
+            else marker_and_thermometer_tolerance_model_and_significance.model_with_tolerances(model, found)
+        )
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.model_without_term(fit, number)

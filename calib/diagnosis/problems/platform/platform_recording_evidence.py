@@ -8,11 +8,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import NotTested, Outliers, StatedTerms
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import NotTested, Outliers, StatedTerms
 from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import Covariate, LackOfFit
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    Repeats,
+    Suggestion,
+    repeatability_of_pairs,
+    row_pairs_with_same_command,
+)
 from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     ASSUMED_NOISE,
@@ -32,24 +38,24 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.problems.platform.detectable_platform_effect_sizes import detectable_platform_effect_sizes
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, platform_candidates
-from calib.diagnosis.problems.platform.lack_of_fit_beyond_all_candidates import (
-    closure_residuals,
-    excess_scatter,
-    ranked_covariates,
-)
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
     operating_point_of_recording,
     remove_corners_far_from_prediction,
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     _find_outliers,
     _without_outliers,
     correct_marker_swaps,
     cross_validate_effect_by_regions,
     cross_validate_effects_for_each_residual_block,
     find_marker_swaps,
+)
+from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
+    closure_residuals,
+    excess_scatter,
+    ranked_covariates,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.strut_formula_suggestions import FORMULA_PLACES, suggest_strut_formulas
@@ -64,12 +70,6 @@ from calib.diagnosis.problems.pose_noise_excess import (
     noise_factors,
     scaled_pose_covariance,
 )
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
-    Repeats,
-    Suggestion,
-    repeatability_of_pairs,
-    repeated_pairs,
-)
 from calib.models.platform.identification import PRIOR
 from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers
@@ -78,7 +78,10 @@ from rig.effects.framework.effect import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.arm_hands_effect_places_and_tolerances import PLACES
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import loop_closure_parameter_jacobian, strut_length_jacobian
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
+    loop_closure_parameter_jacobian,
+    strut_or_axis_jacobian_by_pose,
+)
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
@@ -299,7 +302,7 @@ def _pose_residuals(model: LinearisedModel) -> PoseResiduals:
     k = model.point
     assert k.own is not None
     left, geometry = closure_residuals(model), loop_closure_parameter_jacobian(k.T, k.platform)
-    fitted, A = sum(p.size for e in k.effects for p in e.parameters), strut_length_jacobian(k.T, k.platform)
+    fitted, A = sum(p.size for e in k.effects for p in e.parameters), strut_or_axis_jacobian_by_pose(k.T, k.platform)
     share = min(fitted / max(left.size - geometry.shape[2], 1), 0.8)  # of the squares, what effects take
     sources = np.broadcast_to(np.eye(k.axes)[:, None], (k.axes, *left.shape))
     if k.axes > 6:  # the six combinations of loops that a pose moves; no noise of poses is in the others
@@ -321,7 +324,7 @@ def _pose_residuals(model: LinearisedModel) -> PoseResiduals:
 def _repeated_at_rest(k: OperatingPoint) -> Integers:
     """(n, 2) indices of frames at rest that have the same command."""
     still = np.flatnonzero(np.abs(k.motion(()).path.speed).max(axis=1) < AT_REST)
-    return still[repeated_pairs(k.commanded.at(k.t)[still], ("m",) * k.axes)]
+    return still[row_pairs_with_same_command(k.commanded.at(k.t)[still], ("m",) * k.axes)]
 
 
 def _problem(selection: PlatformSelection) -> PlatformProblem:

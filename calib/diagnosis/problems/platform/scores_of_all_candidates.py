@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from calib.diagnosis.engine import reduced_least_squares as inner
-from calib.diagnosis.engine.candidate_score import (
+from calib.diagnosis.engine import least_squares_with_nuisances_eliminated_by_frame as inner
+from calib.diagnosis.engine.candidate_scores_and_their_significance import (
     best_node_score,
     score_at_node,
     score_of_insignificant_candidate_without_dispersion,
 )
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import Node
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Solved
 from calib.diagnosis.engine.linear_model import Column
-from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Solved
-from calib.diagnosis.problems.platform import vibration_frequency
+from calib.diagnosis.problems.platform import platform_vibration_frequency_search
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     SIZED,
     PlatformCandidate,
@@ -33,7 +33,9 @@ from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from vision.bundle.normal_equations_and_corner_jacobians import corner_jacobians
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    corner_jacobians_to_poses_and_lens_by_camera,
+)
 
 CHUNK = 64  # nodes at a time
 COARSE = 0.8  # of what a finer grid of sizes explains, that a grid explains at least
@@ -88,7 +90,9 @@ def score_candidates(
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: effects on strut motion require a recording with commands")
             score = (
-                vibration_frequency.best_vibration_frequency_score(model, candidate, axes, least_delta_chi2_for_p_value)
+                platform_vibration_frequency_search.best_vibration_frequency_score(
+                    model, candidate, axes, least_delta_chi2_for_p_value
+                )
                 if candidate.reach is Reach.SPECTRUM
                 else _along_axes(model, candidate, sensitivities, axes, motion, least_delta_chi2_for_p_value)
             )
@@ -122,7 +126,9 @@ def candidate_column(
     k = model.point
     if candidate.reach is Reach.SPECTRUM:
         return model.lengthened(
-            vibration_frequency.axis_elongations_by_sinusoidal_platform_motion(model, np.array([node["frequency"]]))[0]
+            platform_vibration_frequency_search.axis_elongations_by_sinusoidal_platform_motion(
+                model, np.array([node["frequency"]])
+            )[0]
         )
     if candidate.reach is Reach.AXES:
         return model.lengthened(sensitivities.deviation(candidate, node, k.motion(k.effects)))
@@ -222,7 +228,7 @@ def camera_mount_pixel_derivatives(model: LinearisedModel, camera: Place) -> Flo
     k = model.point
     o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
-    for i, rows, _, J_camera, _ in corner_jacobians(o, k.state):
+    for i, rows, _, J_camera, _ in corner_jacobians_to_poses_and_lens_by_camera(o, k.state):
         if k.design.cameras[i].name == camera.name:
             out[rows] = J_camera
     return out

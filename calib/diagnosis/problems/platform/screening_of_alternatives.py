@@ -11,18 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.engine import reduced_least_squares as inner
+from calib.diagnosis.engine import least_squares_with_nuisances_eliminated_by_frame as inner
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     Reach,
     Sensitivities,
 )
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_elongation_inner_products,
     axis_normal_equations,
 )
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 

@@ -10,37 +10,39 @@ import numpy as np
 
 from calib.certification.platform_certification import silent_progress
 from calib.diagnosis.engine.cross_validation_and_chance import (
-    frame_folds,
+    cross_validation_folds_of_frames,
     held_out_residuals,
     summed_gain_in_standard_errors,
 )
 from calib.diagnosis.engine.formula_search import Formula, Library, Search
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Reduced
 from calib.diagnosis.engine.linear_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
-from calib.diagnosis.engine.reduced_least_squares import FrameProducts, Reduced
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
+    AGREE,
+    GAIN,
+    NAME,
+    Suggestion,
+    formula_quantity_names,
+    formula_text,
+    library_of_quantities,
+)
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import effect_parameter_directions
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
+    refine_operating_point,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
     CLOSURES,
     LinearisedModel,
     linearise,
 )
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     residual_change_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_elongation_inner_products
-from calib.diagnosis.problems.platform.simultaneous_refinement import refine_operating_point
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import (
-    AGREE,
-    GAIN,
-    NAME,
-    Suggestion,
-    formula_quantities,
-    formula_text,
-    library_of_quantities,
-)
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE
@@ -219,7 +221,7 @@ def _suggested(
     """Suggestion of a Formula, refined with all that is free; None where stretches chosen without do not gain by
     such.
     """
-    fold = frame_folds(model.frames, has_sudden_effects=False)
+    fold = cross_validation_folds_of_frames(model.frames, has_sudden_effects=False)
     products, floor = site.products(model), site.floor(model)
     chosen = [
         Search(site.library, Reduced.on(model.linear, products, fold != h), floor).best() for h in np.unique(fold)
@@ -257,6 +259,6 @@ def _suggested(
         noise,
         "m",
         gain,
-        tuple(formula_quantities(one, site.library) for one in chosen),
+        tuple(formula_quantity_names(one, site.library) for one in chosen),
         formula.length,
     )

@@ -10,13 +10,14 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from calib.diagnosis.engine.candidate_score import Alternative, Score
-from calib.diagnosis.engine.candidate_threshold_and_outlier_types import C
-from calib.diagnosis.engine.confirmation_against_alternatives import Finding, is_finding_significant
+from calib.diagnosis.engine.candidate_scores_and_their_significance import Alternative, Score
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C
+from calib.diagnosis.engine.choice_between_whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
-from calib.diagnosis.engine.lack_of_fit_by_smooth_functions import LackOfFit
+from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
 from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
-from calib.diagnosis.engine.whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
+from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding, is_finding_significant
+from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import time_cosines
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
@@ -26,9 +27,10 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
     lacks_temperature_log,
     platform_candidate,
 )
+from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CORNERS, LinearisedModel
-from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns import (
+from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_model_and_significance import (
     SignificantTolerance,
     model_with_tolerances,
     share_not_explained_by_tolerances,
@@ -36,14 +38,12 @@ from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_columns 
     tolerance_model,
     tolerance_sigmas_from_residuals,
 )
-from calib.diagnosis.problems.platform.misplaced_markers_and_held_out_validation import (
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     residual_change_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.diagnosis.problems.platform.simultaneous_refinement import Refinement
-from calib.diagnosis.problems.platform.smooth_functions import SLOW
-from calib.diagnosis.problems.remainder_covariates_and_repeatability import time_cosines
+from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras_and_markers import SLOW
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect

@@ -14,13 +14,19 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
 from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
-from rig.formats.importers.camera_calibrations.calibration_programs import PROGRAMS, REALSENSE
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
+from rig.formats.importers.camera_calibrations.kalibr_multical_caliscope_ros_opencv_camera_readers import (
+    PROGRAMS,
+    REALSENSE,
+)
 from rig.formats.importers.camera_calibrations.realsense_intrinsics import realsense_text_entries
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.numbers_and_units import parse_numbers, stated_units
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+    camera_toml,
+    rig_toml_with_camera_values_replaced,
+)
 from rig.model.design import Camera
 from rig.model.pose import pose
 
@@ -93,7 +99,7 @@ def rig_toml_with_cameras(
         raise RigError(f"camera {twice} occurs twice; --set cameras.names.THEIRS=OURS separates cameras")
     added = [camera for camera in changed if camera.name not in known]
     if len(added) < len(changed):
-        text = replace_cameras(text, [camera for camera in changed if camera.name in known])
+        text = rig_toml_with_camera_values_replaced(text, [camera for camera in changed if camera.name in known])
     units = stated_units(tomllib.loads(text))
     for camera in added:
         text = text.rstrip("\n") + "\n\n" + camera_toml(camera, has_pose=True, units=units)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import Entries
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import LARGEST_IMAGE
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import LARGEST_IMAGE
 from rig.model.design import DISTORTION_TERMS
 
 ORTHOGONAL = 1e-3  # that a rotation's product with its transpose may differ from one: files have six digits at times
@@ -48,7 +48,7 @@ def checked_image_size(entries: Entries, key: str) -> tuple[int, int]:
     return found[0], found[1]
 
 
-def checked_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
+def require_valid_skewless_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
     """Camera matrix (3, 3) px, checked.
 
     Raises FileError for a skew, and for what is no camera's matrix.
@@ -70,7 +70,7 @@ def checked_camera_matrix(entries: Entries, key: str, matrix: Floats) -> Floats:
     return matrix
 
 
-def checked_distortion(entries: Entries, key: str, values: Floats) -> Floats:
+def require_opencv_distortion_terms(entries: Entries, key: str, values: Floats) -> Floats:
     """Distortion terms (n,), checked.
 
     None means four zeros.

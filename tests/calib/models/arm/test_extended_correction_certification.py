@@ -11,10 +11,7 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.extended_correction_certification import ExtensionRequest
-from calib.correction.interpolation_methods_and_interpolated_correction_summands import (
-    field_from_entries,
-    field_to_dict,
-)
+from calib.correction.correction_field_methods_fitting_combination_and_json import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import arm_pose_covariance
@@ -31,8 +28,8 @@ from rig.formats.checked_entries import Entries
 from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 from rig.recording import recording_folder
+from rig.recording.corner_and_pose_csv_tables import write_poses
 from rig.recording.recording_folder import Poses
-from rig.recording.recording_tables import write_poses
 from tests.calib import secret_arms as worlds
 from tests.cli import command
 from tests.rig.arms import SCARA, SEVEN, UR10

@@ -10,19 +10,19 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.physics_compensation import Physics
-from calib.correction.timed_command_sequence_and_pose_error_map import Pace
+from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
+from calib.correction.timed_command_sequence_and_pose_space_correction_map import Pace
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import start_arm_of_fit
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import sample_observations
+from calib.models.arm.error_model_and_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
-from rig.effects.texts.effect_texts_and_user_effect_files import parse_effect
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import motion_simulation
 from rig.model.pose import pose_difference
@@ -30,9 +30,9 @@ from rig.planning import plan
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
+from rig.recording.corner_and_pose_csv_tables import write_poses
 from rig.recording.recording_folder import Poses, Sensors
-from rig.recording.recording_tables import write_poses
-from synthetic import recording_simulation, secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file, recording_simulation
 
 MOVING = (
     "backlash:joint 2:gap=4e-4",
@@ -112,7 +112,7 @@ def played(tmp_path_factory):
     """(Recording of a SCARA whose second joint has play, its secret)."""
     at = tmp_path_factory.mktemp("scara")
     design, rng = arm_named(at, "scara"), np.random.default_rng(3)
-    secret = secret_machine_and_truth_file.draw_machine(design, rng, 1.0, (parse_effect(GAP),))
+    secret = random_true_machine_and_truth_file.random_true_machine(design, rng, 1.0, (parse_effect(GAP),))
     recording_simulation.write_recording(
         recording_simulation.simulate_world(secret, plan.build_plan(design, "sobol:70", 3), rng),
         at / "rec",
@@ -126,7 +126,7 @@ def fitted(read, effects, before=None, rows=slice(None)):
     """Together of a recording's samples, from rough effects on."""
     sampled = sample_recording(read)
     samples = sampled.samples.take(np.arange(len(sampled.samples))[rows])
-    start = start_arm_of_fit(sample_observations(samples), read.design.mechanism, sampled.instrument)
+    start = start_arm_of_fit(observations_of_samples(samples), read.design.mechanism, sampled.instrument)
     return fit_geometry_and_effects(samples, History(read.design, read.commands, read.sensors), start, effects, before)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.api.plan import PlanOptions, plan
-from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
 from calib.models.arm.error_model_and_observations import Observations, pose_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import NotEnoughData
@@ -88,7 +88,7 @@ def test_an_unknown_place_is_found(base, tool):
     true = replace(UR10, base=worlds.BASE, tool=worlds.TOOL)
     seen = pose_observations(worlds.tracked(true, UR10, 30, rng))
     start = replace(UR10, base=UR10.base if base else true.base, tool=UR10.tool if tool else true.tool)
-    found = instrument_placement.place_base_and_tool_of_arm(seen, start, base, tool)
+    found = arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, start, base, tool)
     for ours, theirs in ((found.base, true.base), (found.tool, true.tool)):
         assert np.abs(pose_difference(ours, theirs)).max() < 2e-4
 
@@ -103,7 +103,9 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = pose_observations(worlds.tracked(true, nominal, 80, rng))
-        found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
+        found = identify_arm(
+            seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, nominal, True, True)
+        )
         assert not found.scatter.any() and found.inliers.all() and found.rank.free.sum() == 4 * len(nominal.joints) + 6
         q = configurations(nominal, 40, rng, 0.5)
         J = error_model_and_observations.parameter_jacobian(q, found.arm)
@@ -127,7 +129,9 @@ def test_parameters_lie_within_three_sigma():
         rng = np.random.default_rng(seed)
         true = worlds.secret(UR10, rng)
         seen = pose_observations(worlds.tracked(true, UR10, 80, rng))
-        found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, UR10, True, True))
+        found = identify_arm(
+            seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, UR10, True, True)
+        )
         z.append(worlds.scores(found, true, UR10, free))
     z = np.array(z)
     assert (np.abs(z) < 3).mean() > 0.985 and np.abs(z).max() < 4.5
@@ -140,7 +144,9 @@ def test_positions_and_distances_suffice_too():
     q = configurations(UR10, 60, rng, 0.5)
     want = error_model_and_observations.predicted_target_poses(q, true).translation
     seen = worlds.touched(true, UR10, 120, rng)
-    found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, UR10, True, True))
+    found = identify_arm(
+        seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, UR10, True, True)
+    )
     assert (
         np.linalg.norm(
             error_model_and_observations.predicted_target_poses(q, found.arm).translation - want, axis=1
@@ -148,7 +154,9 @@ def test_positions_and_distances_suffice_too():
         < 1e-4
     )
     wire = worlds.wired(true, UR10, 400, rng)
-    start = instrument_placement.place_base_and_tool_of_arm(wire, replace(UR10, tool=worlds.TOOL), True, False)
+    start = arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
+        wire, replace(UR10, tool=worlds.TOOL), True, False
+    )
     found = identify_arm(wire, start)
     assert (
         np.abs(
@@ -167,7 +175,9 @@ def test_errors_common_to_all_poses_are_not_taken_for_the_arms():
     rng = np.random.default_rng(7)
     true = worlds.secret(UR10, rng)
     seen = pose_observations(worlds.tracked(true, UR10, 60, rng, common=(1e-4, 1e-4)))
-    found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, UR10, True, True))
+    found = identify_arm(
+        seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, UR10, True, True)
+    )
     assert found.shared.shape == (6,) and (np.sqrt(np.diag(found.covariance))[-6:] > 0.9e-4).all()
 
 
@@ -176,7 +186,9 @@ def test_dependent_columns_are_held_and_named():
     rng = np.random.default_rng(8)
     true = replace(worlds.secret(UR10, rng), tool=pose([0, 0, 0.1], [0, 0, 0]))
     seen = worlds.touched(true, UR10, 120, rng)
-    found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, UR10, True, True))
+    found = identify_arm(
+        seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, UR10, True, True)
+    )
     assert found.rank.dependent and found.rank.free.sum() + len(found.rank.dependent) == 27
     assert any("5" in name or "tool" in name for name, _ in found.rank.dependent)
     assert all("remains as stated" in line for line in found.rank.report()[1:])
@@ -193,7 +205,9 @@ def test_a_joint_that_never_moved_is_reported():
         q=q,
         value=error_model_and_observations.predicted_target_poses(q, true) * exp(2e-5 * rng.normal(size=(60, 6))),
     )
-    found = identify_arm(still, instrument_placement.place_base_and_tool_of_arm(still, UR10, True, True))
+    found = identify_arm(
+        still, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(still, UR10, True, True)
+    )
     assert found.rank.free.sum() < 30 and len(found.rank.report()) > 1
 
 
@@ -205,7 +219,7 @@ def test_wild_poses_are_left_out():
     wild[[5, 30, 61], :3, 3] += 0.05
     found = identify_arm(
         replace(seen, value=type(seen.value).from_matrix(wild)),
-        instrument_placement.place_base_and_tool_of_arm(seen, UR10, True, True),
+        arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, UR10, True, True),
     )
     assert np.flatnonzero(~found.inliers).tolist() == [5, 30, 61] and not found.scatter.any()
 
@@ -216,7 +230,9 @@ def test_too_few_poses_are_refused():
     with pytest.raises(NotEnoughData, match="5 observations give 30 equations, too few for 30"):
         identify_arm(seen, UR10)
     with pytest.raises(NotEnoughData, match="2 observations of a pose"):
-        instrument_placement.place_base_and_tool_of_arm(seen.take(np.arange(2)), UR10, True, True)
+        arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
+            seen.take(np.arange(2)), UR10, True, True
+        )
 
 
 def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
@@ -229,7 +245,7 @@ def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
     design = replace(design, tilt_sensors=sensors, gravity=gravity, targets=(), instrument=None)
     planned = plan(design, PlanOptions(count=30, sigma=(at, turn)))
     q = planned.values
-    links = mechanism.link_frames(q, UR10)[..., :3, :3]
+    links = mechanism.single_hand_arm_link_frames(q, UR10)[..., :3, :3]
     down = np.tile(gravity / 9.81, (30, 1))
     angles = np.stack([sensor.shown(links[:, sensor.link], down) for sensor in sensors], axis=1)
     noise = np.repeat([at, turn], 3)

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.models.arm import error_model_and_observations
-from calib.models.arm.error_model_and_observations import Observations, position_observations, sample_observations
+from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
+from calib.models.arm.error_model_and_observations import Observations, observations_of_samples, position_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm
-from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from calib.samples.pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
@@ -60,7 +60,7 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
         nominal,
         true,
         q,
-        sample_observations(
+        observations_of_samples(
             Samples(np.arange(count), np.arange(count) * 1.0, q, T, covariance, np.zeros((count, 6, 0)))
         ),
         fresh,
@@ -97,7 +97,7 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
             np.repeat(SIGMA, 3) * rng.normal(size=(120, 6))
         )
         covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
-        seen = sample_observations(
+        seen = observations_of_samples(
             Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0)))
         )
         start = place_base_and_tool_of_arm(seen, UR10, True, True)

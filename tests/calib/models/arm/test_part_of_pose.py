@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
 from calib.models.arm.error_model_and_observations import orientation_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.samples.pose_samples import Samples, sample_recording
@@ -55,7 +55,9 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         rng = np.random.default_rng(seed)
         true = worlds.secret(nominal, rng)
         seen = leaning(true, nominal, 60, rng)
-        found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
+        found = identify_arm(
+            seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, nominal, True, True)
+        )
         assert (
             found.rank.free.sum()
             == independent_arm_parameter_mask(nominal, "orientation").sum()
@@ -80,10 +82,12 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
     rng = np.random.default_rng(3)
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
     with pytest.raises(RigError, match="family of poses"):
-        instrument_placement.place_base_and_tool_of_arm(
+        arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
             replace(seen, value=error_model_and_observations.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
         )
-    one = instrument_placement.place_base_and_tool_of_arm(seen, replace(SCARA, tool=worlds.TOOL), True, False)
+    one = arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
+        seen, replace(SCARA, tool=worlds.TOOL), True, False
+    )
     assert (one.base.inv() * worlds.BASE).rotation.magnitude() < 0.01
 
 

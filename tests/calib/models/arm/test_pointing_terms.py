@@ -7,8 +7,8 @@ import pytest
 
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.certification.held_out_errors import pose_errors
+from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
 from calib.models.arm.error_model_and_observations import Observations, arm_with_parameter_step
-from calib.models.arm.instrument_placement import place_base_and_tool_of_arm
 from calib.models.arm.pointing_terms import ARCSEC, pointing_term_jacobian, pointing_terms_of_parameters
 from calib.samples.pose_samples import sample_recording
 from rig.model.mechanism_geometry_classes import Arm

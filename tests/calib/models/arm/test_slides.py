@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model_and_observations, instrument_placement
+from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import pose_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
@@ -67,7 +67,9 @@ def test_an_unknown_place_is_found(name):
     nominal, rng = ARMS[name], np.random.default_rng(3)
     true = worlds.secret(nominal, rng)
     seen = pose_observations(worlds.tracked(true, nominal, 40, rng))
-    found = identify_arm(seen, instrument_placement.place_base_and_tool_of_arm(seen, nominal, True, True))
+    found = identify_arm(
+        seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, nominal, True, True)
+    )
     assert found.inliers.all() and not found.scatter.any()
     q = configurations(nominal, 50, rng, 0.5)
     assert (

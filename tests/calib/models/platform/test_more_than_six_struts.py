@@ -15,7 +15,7 @@ from rig.checks.unit_and_convention_mistakes import command_unit_mistakes
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.mechanism_geometry_classes import Chain, Hexapod
-from rig.model.mechanisms import best_six_legs_and_loop_closures, hexapod
+from rig.model.mechanisms import hexapod, redundant_strut_best_six_legs_and_loop_closures
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_to_vector
 from rig.planning.configuration_generators import evenly_spread_configurations
@@ -73,12 +73,16 @@ def test_a_platform_rests_where_its_elastic_struts_balance(struts):
     pushes = force[..., None] * along
     assert np.abs(pushes.sum(axis=1)).max() < 1e-9 and np.abs(np.cross(ends, pushes).sum(axis=1)).max() < 1e-9
     np.testing.assert_allclose(
-        best_six_legs_and_loop_closures.incompatible_strut_length_component(T, lengths, m), force, atol=1e-9
+        redundant_strut_best_six_legs_and_loop_closures.incompatible_strut_length_component(T, lengths, m),
+        force,
+        atol=1e-9,
     )
     assert size > 1e-4
     seen = poses(sprung_platforms.in_own_axes(rows, 10 * POSE * rng.normal(size=rows.shape)))
     np.testing.assert_allclose(
-        best_six_legs_and_loop_closures.incompatible_strut_length_component(seen, lengths, m), force, atol=4e-6
+        redundant_strut_best_six_legs_and_loop_closures.incompatible_strut_length_component(seen, lengths, m),
+        force,
+        atol=4e-6,
     )  # which poses do not move
     even = evenly_spread_configurations(m, 64)
     assert bears(true, even[:8])[0] < 1e-9 and not hexapod.signed_limit_excess(even, m).any()
@@ -220,7 +224,9 @@ def test_what_more_struts_do_not_take_is_refused_with_a_reason(tmp_path):
         build_plan(design, "grid:2")
     ladder = build_plan(design, "ladder:2").commands.values
     np.testing.assert_allclose(
-        best_six_legs_and_loop_closures.incompatible_strut_length_component(hexapod.forward(ladder, m), ladder, m),
+        redundant_strut_best_six_legs_and_loop_closures.incompatible_strut_length_component(
+            hexapod.forward(ladder, m), ladder, m
+        ),
         0,
         atol=2e-7,
     )

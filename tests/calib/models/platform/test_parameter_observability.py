@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
-    frame_motion_columns,
+    parameter_changes_by_base_and_platform_frame_motion,
     parameter_combinations_and_visibility,
 )
 from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
@@ -21,7 +21,7 @@ from tests.calib.noisy_samples import sampled, workspace
 def test_gauge_is_the_motion_of_the_frames(design):
     """Moving a plate's joints with its frame moves the measured pose as the frame does, and nothing else."""
     T, m = workspace(design, 20), design.mechanism
-    J = pose_parameter_jacobian(T, m) @ frame_motion_columns(m)
+    J = pose_parameter_jacobian(T, m) @ parameter_changes_by_base_and_platform_frame_motion(m)
     np.testing.assert_allclose(J[:, :, 6:], np.broadcast_to(-np.eye(6), (20, 6, 6)), atol=1e-9)
     for k in range(6):
         xi = np.zeros(6)
@@ -33,7 +33,8 @@ def test_gauge_agrees_with_joints_moved(design):
     xi = np.array([1e-4, -2e-4, 5e-5, 3e-4, -1e-4, 2e-4])
     moved = mechanism_with_parameters(
         design.mechanism,
-        geometric_parameters(design.mechanism) + frame_motion_columns(design.mechanism) @ np.r_[xi, np.zeros(6)],
+        geometric_parameters(design.mechanism)
+        + parameter_changes_by_base_and_platform_frame_motion(design.mechanism) @ np.r_[xi, np.zeros(6)],
     )
     np.testing.assert_allclose(moved.base_joints, transform_points(exp(xi), design.mechanism.base_joints), atol=1e-7)
 

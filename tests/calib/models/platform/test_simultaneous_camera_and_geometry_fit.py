@@ -69,10 +69,10 @@ def test_moving_cameras_and_missing_base_targets_are_refused(solved):
 def test_a_calibration_is_refined_or_the_reason_said(solved, design):
     from dataclasses import replace
 
-    from calib.correction.correction import calibrate_correction
+    from calib.correction.correction import fit_geometry_and_remainder_of_correction
 
     _, read, sampled, found, _ = solved
-    correction, two = calibrate_correction(sampled.samples, read.design.mechanism)
+    correction, two = fit_geometry_and_remainder_of_correction(sampled.samples, read.design.mechanism)
     better, reason = refine_correction_with_cameras(sampled, read.design, correction, two)
     np.testing.assert_allclose(geometric_parameters(better.fitted), geometric_parameters(found.mechanism), atol=1e-9)
     np.testing.assert_allclose(reason.covariance, found.covariance, rtol=1e-6, atol=1e-16)

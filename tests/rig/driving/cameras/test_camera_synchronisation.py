@@ -5,7 +5,11 @@ import pytest
 
 from rig.driving import driver_opening_and_settling
 from rig.driving.cameras import CameraError
-from rig.driving.cameras.camera_interface_and_user_cameras import Frame, SynchronisedCameras, set_exposure_for_markers
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
+    Frame,
+    SynchronisedCameras,
+    set_exposure_for_markers,
+)
 from rig.driving.driver_opening_and_settling import NotSettled, image_difference_relative_to_noise, parse_settling
 from rig.errors import RigError
 from tests.rig.simulated_clock import SIZE, Ticking

@@ -11,16 +11,21 @@ import cv2
 import numpy as np
 import pytest
 
-from rig.driving.cameras import CameraError, genicam_discovery, open_camera, opencv_camera
-from rig.driving.cameras.camera_interface_and_user_cameras import (
+from rig.driving.cameras import (
+    CameraError,
+    genicam_harvester_interface_and_camera_discovery,
+    open_camera,
+    opencv_uvc_gstreamer_and_network_cameras,
+)
+from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
     ClockOffset,
     Frame,
     StampDifferences,
     SynchronisedCameras,
 )
-from rig.driving.cameras.camera_opening import EmulatedSource, FolderSource
+from rig.driving.cameras.camera_opening_with_folder_and_emulator_sources import EmulatedSource, FolderSource
 from rig.driving.cameras.genicam_camera import PTP_NODES, GenicamSource
-from rig.driving.cameras.opencv_camera import GuardedCapture, VideoSource
+from rig.driving.cameras.opencv_uvc_gstreamer_and_network_cameras import GuardedCapture, VideoSource
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera, CaptureSettings
@@ -152,7 +157,7 @@ def test_an_opencv_that_lists_gstreamer_and_cannot_load_it_says_so(monkeypatch):
 
 def test_a_pipeline_that_falls_silent_is_gone_and_not_waited_for_again(monkeypatch):
     silent, released = threading.Event(), []
-    monkeypatch.setattr(opencv_camera, "WAIT", 0.05)
+    monkeypatch.setattr(opencv_uvc_gstreamer_and_network_cameras, "WAIT", 0.05)
     capture = types.SimpleNamespace(grab=silent.wait, release=lambda: released.append(1))
     source = VideoSource("cam0", GuardedCapture(capture), Ticking(), SIZE, uvc=False)
     for _ in range(2):
@@ -166,7 +171,7 @@ def test_a_pipeline_that_falls_silent_is_gone_and_not_waited_for_again(monkeypat
 def test_a_pipeline_that_never_opens_is_named(monkeypatch):
     silent = threading.Event()
     monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda kind: True)
-    monkeypatch.setattr(opencv_camera, "OPENING", 50)
+    monkeypatch.setattr(opencv_uvc_gstreamer_and_network_cameras, "OPENING", 50)
     monkeypatch.setattr(cv2, "VideoCapture", lambda *_: silent.wait())
     with pytest.raises(CameraError, match="cannot be opened; `gst-launch-1.0 nosuchsrc ! fakesink` states why"):
         open_camera(camera("gstreamer:nosuchsrc ! appsink"), Ticking())
@@ -527,7 +532,9 @@ def test_genicam_cameras_share_one_harvester_until_the_last_is_closed(monkeypatc
         def reset(self):
             self.down = True
 
-    monkeypatch.setattr(genicam_discovery, "_harvester_of_producers", lambda name: Harvester())
+    monkeypatch.setattr(
+        genicam_harvester_interface_and_camera_discovery, "_harvester_of_producers", lambda name: Harvester()
+    )
     one, two = (open_camera(camera(f"genicam:{serial}"), Ticking()) for serial in ("A1", "B2"))
     assert len(made) == 1
     with pytest.raises(CameraError, match="no GenICam camera 'C3'; there are 'A1', 'B2'"):
@@ -551,7 +558,11 @@ def test_a_camera_that_goes_while_it_is_opened_leaves_the_harvester_to_others(mo
         device_info_list=[types.SimpleNamespace(serial_number="A1")], create=lambda which: Gone(), reset=lambda: None
     )
     made = []
-    monkeypatch.setattr(genicam_discovery, "_harvester_of_producers", lambda name: made.append(name) or harvester)
+    monkeypatch.setattr(
+        genicam_harvester_interface_and_camera_discovery,
+        "_harvester_of_producers",
+        lambda name: made.append(name) or harvester,
+    )
     for _ in range(2):
         with pytest.raises(CameraError, match="'cam0'.*the device is gone"):
             open_camera(camera("genicam:A1"), Ticking())
@@ -633,7 +644,9 @@ def test_a_genicam_camera_that_two_producers_find_is_opened_by_the_one_that_can(
 
     found = [types.SimpleNamespace(serial_number="A1")] * 2
     harvester = types.SimpleNamespace(device_info_list=found, create=create, reset=lambda: None)
-    monkeypatch.setattr(genicam_discovery, "_harvester_of_producers", lambda name: harvester)
+    monkeypatch.setattr(
+        genicam_harvester_interface_and_camera_discovery, "_harvester_of_producers", lambda name: harvester
+    )
     open_camera(camera("genicam:A1"), Ticking()).close()
     del found[1:]
     with pytest.raises(CameraError, match="'A1' is there and cannot be opened; .* wrong subnet"):

@@ -123,7 +123,7 @@ def test_a_program_that_gives_no_image_is_named(tmp_path, command, message):
 
 
 def test_a_program_without_a_shell_gets_no_input_and_is_ended(tmp_path):
-    from rig.driving.cameras.camera_interface_and_user_cameras import CommandSource
+    from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import CommandSource
 
     source = CommandSource(camera(), f"{sys.executable} -c 'import time; time.sleep(60)'", SystemClock(), wait=0.2)
     with pytest.raises(CameraError, match="gave no image in 0.2 s"):

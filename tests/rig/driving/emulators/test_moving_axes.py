@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.driving.emulators.emulated_axes_and_faults import FINE, MovingAxes
+from rig.driving.emulators.emulated_axis_motion_and_controller_faults import FINE, MovingAxes
 
 SPEED, ACCELERATION = np.array([0.01, 0.02, 0.03]), np.array([0.1, 0.05, 0.2])
 

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from rig.driving.emulators.driver_conformance_checks import check_conformance, conformance_design
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
 from rig.errors import PositionLost
 from tests.rig.driving.protocols.test_user_protocol import TEMPLATE
 

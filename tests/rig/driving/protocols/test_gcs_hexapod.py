@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.gcs import GCSHexapod
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import ControllerFault, FileError, MotionError, PositionLost

@@ -14,8 +14,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from rig.driving.run_journal import Arrival, Departure, Ended, read_journal
-from rig.driving.run_steps_and_progress import steps_of_plan
+from rig.driving.run_journal import Arrival, Departure, Ended, read_journal_rows_and_valid_length
+from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.plan import build_plan
 from tests.cli import RIG, run
@@ -110,7 +110,10 @@ def is_moving(folder):
     words = ["run", str(folder / "rig.toml"), *PLAN, "--out", str(folder / "rec")]
     journal = folder / "rec" / "journal.jsonl"
     with subprocess.Popen([*RIG, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        while not journal.exists() or sum(isinstance(row, Departure) for row in read_journal(journal)[0]) < 2:
+        while (
+            not journal.exists()
+            or sum(isinstance(row, Departure) for row in read_journal_rows_and_valid_length(journal)[0]) < 2
+        ):
             assert process.poll() is None
             time.sleep(0.01)
         yield process, words
@@ -118,7 +121,7 @@ def is_moving(folder):
 
 def complete(out):
     """Whether a run reached each step of its plan, none of them twice."""
-    rows, _ = read_journal(out / "journal.jsonl")
+    rows, _ = read_journal_rows_and_valid_length(out / "journal.jsonl")
     steps = steps_of_plan(build_plan(design_from_rig_toml.load_design(out / "rig.toml"), PLAN[1]))
     assert isinstance(rows[-1], Ended) and rows[-1].reason == ""
     reached = [row.step for row in rows if isinstance(row, Arrival) and row.reached]

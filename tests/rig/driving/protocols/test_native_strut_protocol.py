@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rig.driving.axis_driver import Driver
 from rig.driving.clock import SimulatedClock, SystemClock
-from rig.driving.ports_and_numbered_frames import SerialPort, encode_frame, last_valid_frame_in_line
 from rig.driving.protocols.native_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
-from rig.driving.strut_driver import Driver
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort, encode_frame, last_valid_frame_in_line
 from rig.errors import ControllerFault, NoAnswer, PositionLost
 from tests.conftest import ROOT
 from tests.rig.scripted_wire import ScriptedPort

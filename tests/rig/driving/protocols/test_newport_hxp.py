@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rig.driving.clock import SimulatedClock
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.driving.protocols.newport_hxp import HXP
-from rig.driving.protocols.poses_of_hexapod_controllers import controller_values_of_pose, pose_of_controller_values
+from rig.driving.protocols.poses_of_hexapod_controllers import poses_of_xyz_mm_uvw_degrees, xyz_mm_uvw_degrees_of_poses
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import ControllerFault
 from rig.model.mechanisms import hexapod
@@ -53,15 +53,15 @@ def turn(axis, degrees):
 
 def test_u_v_w_turn_about_axes_that_move_along_both_ways():
     values = np.array([1.0, -2.0, 3.0, 20.0, -30.0, 40.0])
-    T = pose_of_controller_values(values)
+    T = poses_of_xyz_mm_uvw_degrees(values)
     np.testing.assert_allclose(T.rotation.as_matrix(), turn("x", 20) @ turn("y", -30) @ turn("z", 40), atol=1e-15)
     np.testing.assert_allclose(T.translation, [1e-3, -2e-3, 3e-3], atol=1e-18)
-    np.testing.assert_allclose(controller_values_of_pose(T), values, atol=1e-9)
+    np.testing.assert_allclose(xyz_mm_uvw_degrees_of_poses(T), values, atol=1e-9)
 
 
 def test_a_move_sets_the_speeds_of_the_struts_and_is_on_its_way_before_it_is_answered(driven_design):
     home = hexapod.home_values(driven_design.mechanism)
-    T = driven_design.mechanism.home * pose_of_controller_values([1.0, 2.0, -3.0, 3.0, -2.0, 5.0])
+    T = driven_design.mechanism.home * poses_of_xyz_mm_uvw_degrees([1.0, 2.0, -3.0, 3.0, -2.0, 5.0])
     target = hexapod.inverse(T, driven_design.mechanism)
     segment = Segment(home, target, 2.0, np.r_[0.004, np.zeros(5)], np.full(6, 0.1))
     profile = ",".join(["double *"] * 4)
@@ -81,7 +81,7 @@ def test_a_move_sets_the_speeds_of_the_struts_and_is_on_its_way_before_it_is_ans
 
 def test_a_refusal_is_in_the_controllers_words(driven_design):
     home = hexapod.home_values(driven_design.mechanism)
-    T = driven_design.mechanism.home * pose_of_controller_values([1.0, 2.0, -3.0, 3.0, -2.0, 5.0])
+    T = driven_design.mechanism.home * poses_of_xyz_mm_uvw_degrees([1.0, 2.0, -3.0, 3.0, -2.0, 5.0])
     script = [
         *hello(),
         ("HexapodMoveAbsolute(HEXAPOD,Work,1.000000,2.000000,-3.000000,3.000000,-2.000000,5.000000)", "-17,"),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from rig.driving.emulators.fault_trials import emulated_driver_with_emulator_and_clock
+from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.driving.move_profiles_and_path_check import require_safe_path
 from rig.driving.protocols.protocol_selection_and_user_protocols import protocol_of_controller
 from rig.errors import ControllerFault, FileError, PositionLost, Unreachable

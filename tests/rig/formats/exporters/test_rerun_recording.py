@@ -15,8 +15,8 @@ import pytest
 from rig.formats.exporters import recording_as_rerun_tum_parquet
 from rig.model.mechanisms import hexapod
 from rig.recording import recording_folder
+from rig.recording.corner_and_pose_csv_tables import write_poses
 from rig.recording.recording_folder import Poses
-from rig.recording.recording_tables import write_poses
 from tests.calib.checks.good import recorded
 from tests.calib.checks.test_mistakes import run_in_process
 

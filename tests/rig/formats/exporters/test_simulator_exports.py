@@ -11,19 +11,19 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
-from rig.formats.exporters import urdf_and_sdf
-from rig.formats.exporters.urdf_and_sdf import simulator_struts
+from rig.formats.exporters import urdf_and_sdf_export_of_arms_and_hexapods
+from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import simulator_struts
 from rig.model.mechanisms import hexapod
 from rig.planning import configuration_generators
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from synthetic import secret_machine_and_truth_file
+from synthetic import random_true_machine_and_truth_file
 from tests.calib.checks.test_mistakes import run_in_process
 
 
 @pytest.fixture(scope="module")
 def machine(design):
     """A hexapod with zeros, none of whose joints lie evenly."""
-    return secret_machine_and_truth_file.draw_machine(design, np.random.default_rng(3)).true.mechanism
+    return random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(3)).true.mechanism
 
 
 def cardans(direction, T_base_cross):
@@ -56,7 +56,7 @@ def driven(model, T, m):
 
 
 def test_urdf_closes_its_loops_at_every_pose(machine):
-    model = pinocchio.buildModelFromXML(urdf_and_sdf.hexapod_urdf(machine, "a & b"))
+    model = pinocchio.buildModelFromXML(urdf_and_sdf_export_of_arms_and_hexapods.hexapod_urdf(machine, "a & b"))
     assert model.nq == 21
     for T in hexapod.forward(configuration_generators.sobol_configurations(machine.strut_range, 20, 0.9), machine):
         data = driven(model, T, machine)
@@ -77,7 +77,7 @@ def stood(link):
 
 
 def test_sdf_stands_at_home_with_joints_where_they_are(machine):
-    model = ElementTree.fromstring(urdf_and_sdf.hexapod_sdf(machine)).find("model")
+    model = ElementTree.fromstring(urdf_and_sdf_export_of_arms_and_hexapods.hexapod_sdf(machine)).find("model")
     links, joints = (
         {link.get("name"): stood(link) for link in model.findall("link")},
         {j.get("name"): j for j in model.findall("joint")},
@@ -104,7 +104,7 @@ def test_a_joint_on_the_axis_has_no_cardan(machine):
     joints = np.array(machine.base_joints)
     joints[2] = [0, 0, 0.1]
     with pytest.raises(RigError, match="strut 3: its base joint lies on the z axis"):
-        urdf_and_sdf.hexapod_urdf(replace(machine, base_joints=joints))
+        urdf_and_sdf_export_of_arms_and_hexapods.hexapod_urdf(replace(machine, base_joints=joints))
 
 
 def test_simulators_files_come_from_the_command_line(tmp_path):

@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import pytest
 
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.frame_times import exposures_timed_by_names_table_or_commands
 from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe
+from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import (
+    exposures_timed_by_names_table_or_commands,
+)
 
 COMMANDS = SimpleNamespace(t=[Decimal(0), Decimal(9)])
 

@@ -5,7 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from rig.checks.mistake_dataclass_and_clock_mistakes import dwell_clock_offset_mistake, dwell_clock_shift
+from rig.checks.mistake_dataclass_and_clock_mistakes import (
+    clock_offset_mistakes_of_frames_in_motion,
+    clock_shift_putting_most_frames_into_dwells,
+)
 from rig.planning.plan import build_plan
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
@@ -34,7 +37,7 @@ def log(gaps, rate=10.0):
 def test_frames_are_brought_to_where_the_commands_stand(noise):
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    found = dwell_clock_shift(
+    found = clock_shift_putting_most_frames_into_dwells(
         at - 5000.0 + rng.uniform(-0.5, 0.5, 30), t, values + noise * rng.uniform(-0.5, 0.5, values.shape)
     )
     assert found is not None and found.frames == 30 and abs(found.shift - 5000.0) <= found.room < 1.0
@@ -42,10 +45,13 @@ def test_frames_are_brought_to_where_the_commands_stand(noise):
 
 def test_what_repeats_or_is_short_tells_nothing():
     t, values, at = log(np.full(30, 3.0))
-    assert dwell_clock_shift(at - 5000.0, t, values) is None
+    assert clock_shift_putting_most_frames_into_dwells(at - 5000.0, t, values) is None
     t, values, at = log(np.random.default_rng(1).choice([1.0, 2.0, 3.0, 4.0], 4))
-    assert dwell_clock_shift(at - 5000.0, t, values) is None
-    assert dwell_clock_shift(np.arange(30.0), np.arange(100.0), np.arange(100.0)[:, None]) is None
+    assert clock_shift_putting_most_frames_into_dwells(at - 5000.0, t, values) is None
+    assert (
+        clock_shift_putting_most_frames_into_dwells(np.arange(30.0), np.arange(100.0), np.arange(100.0)[:, None])
+        is None
+    )
 
 
 STATED = (
@@ -106,8 +112,8 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
 def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ahead):
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    assert not list(dwell_clock_offset_mistake(at, t, values))
-    (found,) = dwell_clock_offset_mistake(at + ahead, t, values)
+    assert not list(clock_offset_mistakes_of_frames_in_motion(at, t, values))
+    (found,) = clock_offset_mistakes_of_frames_in_motion(at + ahead, t, values)
     assert (
         found.spoils
         and f"clock is {abs(ahead):.4g} s {'ahead of' if ahead > 0 else 'behind'} the commands'" in found.what
@@ -118,7 +124,7 @@ def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ah
 def test_frames_taken_on_the_way_say_nothing_of_clocks():
     rng = np.random.default_rng(1)
     t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
-    assert not list(dwell_clock_offset_mistake(np.sort(rng.uniform(0, t[-1], 40)), t, values))
+    assert not list(clock_offset_mistakes_of_frames_in_motion(np.sort(rng.uniform(0, t[-1], 40)), t, values))
 
 
 @pytest.mark.parametrize(
@@ -127,4 +133,4 @@ def test_frames_taken_on_the_way_say_nothing_of_clocks():
 )
 def test_a_plan_as_it_was_exposed_is_accused_of_no_clock(design, parts):
     found = build_plan(design, parts, 3)
-    assert not list(dwell_clock_offset_mistake(found.t, found.commands.t, found.commands.values))
+    assert not list(clock_offset_mistakes_of_frames_in_motion(found.t, found.commands.t, found.commands.values))

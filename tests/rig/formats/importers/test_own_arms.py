@@ -6,8 +6,8 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from rig.errors import RigError
-from rig.formats.exporters.urdf_and_sdf import arm_urdf
-from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
+from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import arm_urdf
+from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.numbers_and_units import parse_length_and_angle_units
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
-from rig.formats.importers.foreign_table_columns import TIME, axis_header_names, find_columns
+from rig.formats.importers.foreign_table_columns import TIME, accepted_header_names_of_axes, find_columns
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.pose_table import POSITION, VECTOR
 from rig.formats.importers.units_and_timestamps import UnclearInput
@@ -107,7 +107,7 @@ def test_columns_are_known_in_four_more_languages(tmp_path, time, limb):
     path.write_text(";".join([time, *(limb.format(i) for i in range(1, 7))]) + "\n" + "1;2;3;4;5;6;7\n2;3;4;5;6;7;8\n")
     cells = read_foreign_table_header_and_cells(ForeignTable(path, decimal="point"), "commands")
     axes = [f"l{i}" for i in range(1, 7)]
-    found = find_columns(cells, "commands", {**TIME, **axis_header_names(axes)}, axes)
+    found = find_columns(cells, "commands", {**TIME, **accepted_header_names_of_axes(axes)}, axes)
     assert found == {"t": 0, **{name: i for i, name in enumerate(axes, 1)}}
 
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.errors import RigError
-from rig.formats.exporters.urdf_and_sdf import arm_urdf
-from rig.formats.importers.arm_of_urdf_or_dh_table import ArmFileOptions, read_arm_file
+from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import arm_urdf
+from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import arm as serial
 from rig.model.pose import pose_difference

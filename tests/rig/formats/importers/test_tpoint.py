@@ -6,7 +6,11 @@ import pytest
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.models.arm.pointing_terms import ARCSEC
 from rig.errors import FileError
-from rig.formats.importers.tpoint_pointing_data import Weather, read_pointing_data, refraction_terms
+from rig.formats.importers.tpoint_pointing_data_import_and_refraction import (
+    Weather,
+    read_pointing_data,
+    refraction_terms,
+)
 from rig.recording import recording_folder
 from tests.cli import run
 from tests.truth import pointing as truth

@@ -113,7 +113,9 @@ def test_no_permission_is_said(spoil, tmp_path):
 
 
 def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr("rig.formats.output_files.atomic_files_and_locks.secrets.token_hex", lambda _: "guessed")
+    monkeypatch.setattr(
+        "rig.formats.output_files.atomic_file_writing_and_process_locks.secrets.token_hex", lambda _: "guessed"
+    )
     victim = tmp_path / "victim"
     victim.write_text("mine")
     (tmp_path / "d").mkdir()

@@ -15,7 +15,11 @@ from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import json_data, toml_entries
 from rig.formats.numbers_and_units import LengthAndAngleUnits, parse_length_and_angle_units
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
-from rig.formats.rig_toml.camera_instrument_and_cube_entries import camera_toml, replace_cameras, replace_target_markers
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+    camera_toml,
+    rig_toml_with_camera_values_replaced,
+    rig_toml_with_target_markers_replaced,
+)
 from rig.formats.rig_toml.design_from_rig_toml import design_of_entries
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.design import Marker
@@ -190,12 +194,12 @@ pose = { position = [0, 0, 0], rotvec = [0, 0, 90] }
 def test_cameras_and_markers_are_written_in_the_files_own_units():
     design = design_of_entries(toml_entries(PAIR, Path("rig.toml")))
     moved = replace(design.cameras[0], pose=pose([0.1, 0.2, 0.3], [0.0, 0.0, np.pi / 2]))
-    text = replace_cameras(PAIR, [moved])
+    text = rig_toml_with_camera_values_replaced(PAIR, [moved])
     assert "[100.0, 200.0, 300.0]" in text and "90.0" in text
     found = design_of_entries(toml_entries(text, Path("rig.toml"))).cameras[0]
     assert np.allclose(found.pose.as_matrix(), moved.pose.as_matrix(), rtol=0, atol=1e-9)
     marker = Marker(0, 0.0676, pose([0.1, 0.0, 0.05], [0.0, 0.0, np.pi / 4]), 0.005)
-    text = replace_target_markers(text, {"B1": (marker,)})
+    text = rig_toml_with_target_markers_replaced(text, {"B1": (marker,)})
     assert "side = 67.6" in text and "margin = 5.0" in text and "45.0" in text
     (back,) = design_of_entries(toml_entries(text, Path("rig.toml"))).targets[0].listed
     assert (back.side, back.margin) == pytest.approx((0.0676, 0.005), abs=1e-12)

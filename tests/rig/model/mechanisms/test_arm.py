@@ -34,7 +34,7 @@ ARMS = {
 def test_forward_agrees_with_pinocchio(name):
     arm = ARMS[name]
     q = configurations(arm, 10_000, np.random.default_rng(1))
-    ours = mechanism.link_frames(q, arm)[:, -1]
+    ours = mechanism.single_hand_arm_link_frames(q, arm)[:, -1]
     theirs = poses(arm, q)
     np.testing.assert_allclose(ours[:, :3, 3], theirs[:, :3, 3], atol=1e-12)
     np.testing.assert_allclose(ours[:, :3, :3], theirs[:, :3, :3], atol=1e-12)
@@ -166,14 +166,18 @@ def test_few_joints_come_as_near_as_they_can_and_say_what_is_left(name, reached)
     off[:, [3, 4]] = 2e-3 * rng.normal(size=(200, 2))
     requested = 1e-2 * np.eye(6)[list(reached)].T @ rng.normal(size=(len(reached), 200))
     wanted = mechanism.forward(q, arm) * exp(requested.T) * exp(off)
-    found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values(wanted, arm, q, count)
+    found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values_remaining_error_and_settled(
+        wanted, arm, q, count
+    )
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12
     np.testing.assert_allclose(pose_difference(mechanism.forward(found, arm), wanted), rest, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(off[:, 3:], axis=1), atol=1e-5)
     beyond = replace(
         arm, joints=arm.rows + 1e-3 * rng.normal(size=arm.rows.shape)
     )  # askew: no direction more to be led in
-    found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values(wanted, beyond, q, count)
+    found, rest, settled = closed_form_and_numerical_arm_inverse.nearest_joint_values_remaining_error_and_settled(
+        wanted, beyond, q, count
+    )
     assert settled.all() and np.abs(rest[:, :3]).max() < 1e-12 and np.abs(found - q).max() < 0.4
 
 

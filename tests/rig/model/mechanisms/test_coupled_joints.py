@@ -75,7 +75,7 @@ def test_leaders_bear_their_followers_weight():
 def test_inverse_and_plans_have_followers_where_leaders_have_them():
     q = evenly_spread_configurations(ARM, 20, 0.8)
     np.testing.assert_array_equal(q, ARM.with_followers(q))
-    found, left = serial.solve_inverse(serial.forward(q, ARM), ARM, q + 0.05, starts=0)
+    found, left = serial.solve_arm_inverse_by_damped_least_squares(serial.forward(q, ARM), ARM, q + 0.05, starts=0)
     np.testing.assert_allclose(found, q, atol=1e-7)
     assert left.max() < 1e-10
 

@@ -8,15 +8,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_identification_and_agreement
+from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.redundant_limb_checks import Limbs
+from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
 from calib.correction.correction import Correction
 from calib.files import calibration_file
-from calib.online import accepted_limbs_file
+from calib.online import accepted_measuring_limbs_file
 from rig.cli.command_line import main
 from rig.errors import RigError
-from rig.model.mechanisms import best_six_legs_and_loop_closures, hexapod
+from rig.model.mechanisms import hexapod, redundant_strut_best_six_legs_and_loop_closures
 from rig.planning.configuration_generators import sobol_configurations
 
 
@@ -24,7 +24,7 @@ from rig.planning.configuration_generators import sobol_configurations
 def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
-    limbs = measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true)
+    limbs = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true)
     return (
         true.mechanism,
         limbs,
@@ -34,7 +34,7 @@ def machine(limbed):
 
 def legs(machine, sigma=(1e-6, 1e-6), covariance=None):
     none = np.zeros((42, 42))
-    return best_six_legs_and_loop_closures.combine_leg_sets(
+    return redundant_strut_best_six_legs_and_loop_closures.combine_leg_sets(
         [
             (letter, m, np.full(6, s), none if covariance is None else covariance)
             for letter, m, s in zip("lm", machine[:2], sigma)
@@ -48,7 +48,9 @@ def lengths(machine):
 
 
 def test_legs_that_are_as_stated_close(machine):
-    found = best_six_legs_and_loop_closures.leg_closures(legs(machine), lengths(machine), np.array([0, 2, 4, 7, 9, 11]))
+    found = redundant_strut_best_six_legs_and_loop_closures.leg_closures(
+        legs(machine), lengths(machine), np.array([0, 2, 4, 7, 9, 11])
+    )
     assert np.abs(found.error).max() < 1e-10 and found.checks.tolist() == [1, 3, 5, 6, 8, 10]
 
 
@@ -77,7 +79,7 @@ def test_closures_scatter_as_expected_of_readings_and_geometry(machine):
                 for name, key in (("base", "base_joints"), ("platform", "platform_joints"), ("zeros", "strut_zeros"))
             },
         )
-        found = best_six_legs_and_loop_closures.leg_closures(
+        found = redundant_strut_best_six_legs_and_loop_closures.leg_closures(
             as_believed, read + of.sigma * rng.normal(size=read.shape), chosen
         )
         ratios.append((found.error**2).mean(axis=0) / np.einsum("nii->ni", found.covariance).mean(axis=0))
@@ -88,7 +90,7 @@ def test_the_best_six_are_the_best_of_all(machine):
     of, T = legs(machine, (3e-6, 1e-6)), machine[2][:8]
     size = np.linalg.norm(of.platform - of.platform.mean(axis=0), axis=1).mean()
     J = (
-        best_six_legs_and_loop_closures.leg_lengths_and_pose_and_base_jacobians(of, T)[1]
+        redundant_strut_best_six_legs_and_loop_closures.leg_lengths_and_pose_and_base_jacobians(of, T)[1]
         / np.repeat([1.0, size], 3)
         / of.sigma[:, None]
     )
@@ -96,17 +98,19 @@ def test_the_best_six_are_the_best_of_all(machine):
         six: min(np.linalg.svd(one[list(six)], compute_uv=False)[-1] for one in J)
         for six in list(combinations(range(12), 6))[::7]
     }
-    best = best_six_legs_and_loop_closures.best_six_legs(of, T)
+    best = redundant_strut_best_six_legs_and_loop_closures.best_six_leg_indices(of, T)
     assert min(np.linalg.svd(one[best], compute_uv=False)[-1] for one in J) >= max(least.values())
     assert not set(range(6)) & set(
-        best_six_legs_and_loop_closures.best_six_legs(legs(machine, (1e-3, 1e-6)), T).tolist()
+        redundant_strut_best_six_legs_and_loop_closures.best_six_leg_indices(legs(machine, (1e-3, 1e-6)), T).tolist()
     ), "struts that nobody knows are not chosen"
 
 
 def test_a_leg_that_is_off_is_named_whether_it_was_chosen_or_not(machine):
     for leg in (3, 8):
         read = lengths(machine) + 1e-6 * np.random.default_rng(0).normal(size=(40, 12)) - 3e-5 * np.eye(12)[leg]
-        found = best_six_legs_and_loop_closures.leg_closures(legs(machine), read, np.array([0, 1, 2, 3, 4, 5]))
+        found = redundant_strut_best_six_legs_and_loop_closures.leg_closures(
+            legs(machine), read, np.array([0, 1, 2, 3, 4, 5])
+        )
         assert (
             found.share.argmax() == leg and found.off[leg] == pytest.approx(-3e-5, abs=2e-6) and found.share[leg] > 0.95
         )
@@ -118,7 +122,7 @@ def test_legs_that_leave_the_platform_loose_are_refused(machine):
         m, base_joints=m.base_joints[[0, 0, 1, 1, 2, 2]], platform_joints=m.platform_joints[[0, 0, 1, 1, 2, 2]]
     )
     with pytest.raises(RigError):
-        best_six_legs_and_loop_closures.leg_closures(
+        redundant_strut_best_six_legs_and_loop_closures.leg_closures(
             legs((flat, machine[1])),
             np.hstack([hexapod.inverse(machine[2], one) for one in (flat, machine[1])]),
             np.arange(6),
@@ -134,13 +138,19 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
         tmp_path / "closures.csv",
     )
     T = done.run.T_base_platform[:30]
-    agreement = measuring_limb_identification_and_agreement.limb_agreement(T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3))
+    agreement = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+        T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3)
+    )
     known = 1e-14 * np.eye(42)
-    accepted_limbs_file.save_limbs(
+    accepted_measuring_limbs_file.save_limbs(
         limbs,
-        accepted_limbs_file.Accepted(
-            Limbs(measuring_limb_identification_and_agreement.hexapod_of_six_limbs(true), known, np.full(6, 1e-6)),
-            measuring_limb_identification_and_agreement.hexapod_of_six_limbs(design),
+        accepted_measuring_limbs_file.Accepted(
+            Limbs(
+                measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true),
+                known,
+                np.full(6, 1e-6),
+            ),
+            measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
             agreement,
             None,
             {},

@@ -75,14 +75,14 @@ def test_joints_hold_the_weight_of_every_branch_that_stands_on_them(arm, q):
 
 def test_the_inverse_of_one_hand_leaves_the_joints_of_the_other(arm, q):
     seen, start = arm.of_hand("right"), np.full((6, 15), 0.1)
-    found, left = serial.solve_inverse(serial.forward(q, seen), seen, start)
+    found, left = serial.solve_arm_inverse_by_damped_least_squares(serial.forward(q, seen), seen, start)
     assert (left < 1e-10).all()
     np.testing.assert_array_equal(found[:, 3:9], start[:, 3:9])
 
 
 def test_what_is_for_one_hand_refuses_several(arm, q):
     with pytest.raises(RigError, match="requires an arm with one hand; this one has 2"):
-        serial.link_frames(q, arm)
+        serial.single_hand_arm_link_frames(q, arm)
     with pytest.raises(RigError, match="no hand 'lefd'; there are left, right"):
         arm.of_hand("lefd")
     for number in (-1, 2, 5):

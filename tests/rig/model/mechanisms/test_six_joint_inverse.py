@@ -55,10 +55,10 @@ def check(six, q):
     Within s of a singularity the angles themselves are only determined to (rounding / s), so they are compared after
     weighing by s
     """
-    matrix = mechanism.link_frames(q, six.arm)[:, -1]
+    matrix = mechanism.single_hand_arm_link_frames(q, six.arm)[:, -1]
     T = mechanism.forward(q, six.arm)
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
-    back = mechanism.link_frames(np.where(found.exists[..., None], found.q, 0), six.arm)[..., -1, :, :]
+    back = mechanism.single_hand_arm_link_frames(np.where(found.exists[..., None], found.q, 0), six.arm)[..., -1, :, :]
     closure = np.where(found.exists, np.abs(back - matrix[:, None]).max(axis=(-1, -2)), 0).max(axis=1)
     apart = np.abs(np.exp(1j * np.where(found.exists[..., None], found.q, np.nan)) - np.exp(1j * q[:, None])).max(
         axis=-1
@@ -93,7 +93,7 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     for i in range(5):
         many = mechanism.forward(np.tile(q[i], (150, 1)), OFFSET)
-        numeric, left = mechanism.solve_inverse(
+        numeric, left = mechanism.solve_arm_inverse_by_damped_least_squares(
             many, OFFSET, np.random.default_rng(3).uniform(-3, 3, (150, 6)), starts=0
         )
         numeric = numeric[left < 1e-10]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.report.pages.html_and_svg_elements import (
-    capitalise,
+    capitalise_unless_name_or_sign,
     captioned_html,
     inline_html,
     round_ticks,
@@ -62,10 +62,10 @@ def test_columns_of_text_begin_at_their_left_and_lengths_are_in_micrometres():
         "1 → 2 ± 3 m/s² ≤ 4, <code>a -&gt; b</code>, x-1, p-&gt;q"
     )
     assert (
-        capitalise("the rest") == "The rest"
-        and capitalise("rx turns") == "Rx turns"
-        and capitalise("3 of") == "3 of"
-        and capitalise("cam0 is") == "cam0 is"
+        capitalise_unless_name_or_sign("the rest") == "The rest"
+        and capitalise_unless_name_or_sign("rx turns") == "Rx turns"
+        and capitalise_unless_name_or_sign("3 of") == "3 of"
+        and capitalise_unless_name_or_sign("cam0 is") == "cam0 is"
     )
 
 
