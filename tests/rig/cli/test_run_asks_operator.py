@@ -30,6 +30,12 @@ def rig(tmp_path_factory):
     made.close()
 
 
+def take_terminal():
+    """Make standard input the terminal of this process, which heeds Ctrl-C whatever started the tests."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Operator:
     """`rig run` at a pseudo-terminal of its own. shown : all that it has shown"""
 
@@ -41,7 +47,7 @@ class Operator:
             stdout=its_end,
             stderr=its_end,
             start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+            preexec_fn=take_terminal,
         )
         os.close(its_end)
         self.shown = ""
@@ -61,7 +67,7 @@ class Operator:
 
     def ends(self):
         """Exit status, once it has ended."""
-        status = self._process.wait()
+        status = self._process.wait(60)
         os.close(self._terminal)
         return status
 
