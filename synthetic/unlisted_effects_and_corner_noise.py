@@ -3,9 +3,7 @@
 Blind cases may hide both as unknown.
 
 An effect out of the catalogue is one like any other, only that no diagnosis knows it; `random_unlisted_effect` makes
-one
-of a plausible size. A disturbance
-changes nothing but the noise of corners: there, too, nothing may be named.
+one of a plausible size. A disturbance changes nothing but the noise of corners: there, too, nothing may be named.
 """
 
 from collections.abc import Callable
@@ -47,13 +45,13 @@ class CablePull(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         at = np.array([0.0, self.arm, 0.0])  # where the cable is tied, platform frame
-        matrix = motion.posed().as_matrix()
+        matrix = motion.poses().as_matrix()
         away = np.asarray(self.anchor) - (matrix[:, :3, :3] @ at + matrix[:, :3, 3])
         length = np.linalg.norm(away, axis=1, keepdims=True)
         force = self.spring * np.maximum(length - self.slack, 0) * away / length
         force = (np.swapaxes(matrix[:, :3, :3], 1, 2) @ force[..., None])[..., 0]
         give = np.concatenate([force, np.cross(at, force) / self.arm**2], axis=1) * self.softness
-        return (hexapod.jacobian(motion.posed(), require_hexapod(motion.mechanism)) @ give[..., None])[..., 0]
+        return (hexapod.jacobian(motion.poses(), require_hexapod(motion.mechanism)) @ give[..., None])[..., 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +67,7 @@ class BendingStrut(Effect):
     on_pose: ClassVar = True
 
     def deviation(self, motion: Motion) -> Floats:
-        matrix, m = motion.posed().as_matrix(), require_hexapod(motion.mechanism)
+        matrix, m = motion.poses().as_matrix(), require_hexapod(motion.mechanism)
         struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
         length = np.linalg.norm(struts, axis=2)
         level = 1 - (struts @ motion.gravity / np.linalg.norm(motion.gravity) / length) ** 2
@@ -90,7 +88,7 @@ class WanderingBase(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         moved = transform_points(exp(_course(self.course, motion.t, 6)), require_hexapod(motion.mechanism).base_joints)
-        matrix, m = motion.posed().as_matrix(), require_hexapod(motion.mechanism)
+        matrix, m = motion.poses().as_matrix(), require_hexapod(motion.mechanism)
         tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
         return np.linalg.norm(tips - m.base_joints, axis=2) - np.linalg.norm(tips - moved, axis=2)
 

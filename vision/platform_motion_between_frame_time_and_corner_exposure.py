@@ -6,8 +6,7 @@ A corner in row v of a rolling shutter is exposed (v - height / 2) * row_time af
 be later than the frame's. The platform has moved on by then, at the rate that commands state. Where it speeds up, this
 rate depends on the clocks of cameras and commands and on the lag of the drives. They are solved for by the poses
 themselves (vision.clock_offset_drive_lag_and_camera_time_offset_estimation) where these move enough; how well they
-are known is in the covariance of
-the pose.
+are known is in the covariance of the pose.
 """
 
 from collections.abc import Callable, Sequence

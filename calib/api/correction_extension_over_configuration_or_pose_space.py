@@ -5,7 +5,7 @@ It is extended from samples at once, or as an additional pass.
 Source: configuration-space patent, [0035]
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -103,18 +103,18 @@ class ExtendOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExtendedCorrection:
-    """done : Certified, of struts, an arm or a chain; tried : Tried of each way; claim : Claim; provenance : what is
-    recorded of a pass; misses : (RMS, greatest) of the single step; unit : of these, m or rad; base : what the
-    extension stands on, in words; remarks : on where base and tool stand
+    """done : Certified, of struts, an arm or a chain; tried : Tried of each method; claim : Claim; misses : (RMS,
+    greatest) of the single step; unit : of these, m or rad; base : what the extension stands on, in words; provenance :
+    what is recorded of a pass; remarks : on where base and tool stand
     """
 
     done: Certified | ArmCertified | CertifiedChain
     tried: tuple[Tried, ...]
     claim: Claim
-    provenance: Json
     misses: tuple[float, float]
     unit: str
     base: str
+    provenance: Json = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     @property
@@ -133,27 +133,33 @@ def certify_correction_extension(
     if options.onto is not None:
         return _certify_pass(options, options.onto, design, sampled.samples, rng, progress)
     samples, ask = sampled.samples, ExtensionRequest(options.method, options.alone)
-    base = "the nominal model alone" if options.alone else "the fitted geometry"
+    done: Certified | ArmCertified | CertifiedChain
     if has_links(design.mechanism):
         arm = require_arm(design.mechanism)
-        of_arm, tried = arm_extension.certify_arm_correction_extension(
+        done, tried = arm_extension.certify_arm_correction_extension(
             samples, arm, sampled.instrument, ask, rng, progress
         )
-        claim_of = arm_extension.claim_without_geometry if options.alone else arm_workspace_claim
-        misses = arm_extension.single_step_correction_errors(of_arm.correction)
-        claim = claim_of(samples, of_arm, rng)
-        return ExtendedCorrection(of_arm, tried, claim, {}, misses, mechanisms.travel_unit(arm), base)
-    if design.mechanism.bodies:
-        of_chain, tried = certify_chain_correction_extension(
-            samples, require_chain(design.mechanism), ask, rng, progress
-        )
-        misses = single_step_chain_correction_errors(of_chain.correction, samples.commanded)
-        claim = chain_workspace_claim(samples, of_chain, rng)
-        return ExtendedCorrection(of_chain, tried, claim, {}, misses, "m", base)
-    done, tried = certify_extended_correction(samples, require_parallel(design.mechanism), ask, rng, progress)
-    claim_by = claim_without_geometry if options.alone else platform_workspace_claim
-    claim = claim_by(samples, done, rng)
-    return ExtendedCorrection(done, tried, claim, {}, single_step_command_errors(done.correction), "m", base)
+    elif design.mechanism.bodies:
+        done, tried = certify_chain_correction_extension(samples, require_chain(design.mechanism), ask, rng, progress)
+    else:
+        done, tried = certify_extended_correction(samples, require_parallel(design.mechanism), ask, rng, progress)
+    base = "the nominal model alone" if options.alone else "the fitted geometry"
+    return ExtendedCorrection(done, tried, *_claim_and_misses(samples, done, not options.alone, rng), base)
+
+
+def _claim_and_misses(
+    samples: Samples, done: Certified | ArmCertified | CertifiedChain, fitted: bool, rng: np.random.Generator
+) -> tuple[Claim, tuple[float, float], str]:
+    """(Claim, (RMS, greatest) of the single step, unit of these). fitted : whether a geometry was fitted with it"""
+    if isinstance(done, ArmCertified):
+        arm_claim = arm_workspace_claim if fitted else arm_extension.claim_without_geometry
+        misses = arm_extension.single_step_correction_errors(done.correction)
+        return arm_claim(samples, done, rng), misses, mechanisms.travel_unit(done.correction.nominal)
+    if isinstance(done, CertifiedChain):
+        misses = single_step_chain_correction_errors(done.correction, samples.commanded)
+        return chain_workspace_claim(samples, done, rng), misses, "m"
+    claim = platform_workspace_claim if fitted else claim_without_geometry
+    return claim(samples, done, rng), single_step_command_errors(done.correction), "m"
 
 
 def _certify_pass(
@@ -178,19 +184,10 @@ def _certify_pass(
             f"the {' and the '.join(placed.unexpected)} stands elsewhere than for {options.name}, and no pass corrects "
             "that: put it back, or calibrate anew"
         )
-    samples, unit = placed.samples, "m"
+    samples = placed.samples
     done, tried, count = certify_additional_pass(
         samples, before, CorrectionPass(options.method, space, configurations, poses), rng, progress
     )
-    if isinstance(done, ArmCertified):
-        misses, unit = arm_extension.single_step_correction_errors(done.correction), mechanisms.travel_unit(nominal)
-        claim = arm_extension.claim_without_geometry(samples, done, rng)
-    elif isinstance(done, CertifiedChain):
-        misses = single_step_chain_correction_errors(done.correction, samples.commanded)
-        claim = chain_workspace_claim(samples, done, rng)
-    else:
-        misses = single_step_command_errors(done.correction)
-        claim = claim_without_geometry(samples, done, rng)
     provenance: Json = {
         "number": len(before.provenance.get("passes", ())) + 2,
         "way": options.method,
@@ -200,7 +197,9 @@ def _certify_pass(
         "chosen": [one.kind for one in tried if one.chosen],
     }
     base = f"{options.name}, pass {provenance['number']}"
-    return ExtendedCorrection(done, tried, claim, provenance, misses, unit, base, placed.lines)
+    return ExtendedCorrection(
+        done, tried, *_claim_and_misses(samples, done, False, rng), base, provenance, placed.lines
+    )
 
 
 def _parts(text: str | None, mechanism: Commanded) -> tuple[SpacePart | None, SpacePart | None]:

@@ -5,7 +5,7 @@ Scale, promise, volume, basis, conformity, ISO figures and uncertainties.
 
 from calib.certificate.certificate_contents import Contents
 from calib.certification.calibration_dataclass_and_claim_sentences import (
-    claim_kept_or_exceeded_text,
+    claim_check_result_text,
     explaining_rigid_motion_text,
 )
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
@@ -136,7 +136,7 @@ def _claim_line(claim_check: AgainstClaim) -> str:
             f"{size(high)})"
         )
     return (
-        f"The calibration's claim is {claim_kept_or_exceeded_text(claim_check.found)} by {claim_check.recording}: "
+        f"The calibration's claim is {claim_check_result_text(claim_check.found)} by {claim_check.recording}: "
         f"{'; '.join(lines)}{explaining_rigid_motion_text(claim_check.found)}."
     )
 

@@ -16,7 +16,7 @@ from calib.certificate.certificate_computation_verdict_and_provenance import (
     combined_held_out_poses,
 )
 from calib.certificate.certificate_contents import CertifyOptions, Conditions, measuring_conditions
-from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_kept_or_exceeded_text
+from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_check_result_text
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, pose_repeatability
 from calib.certification.noise_free_errors_and_tolerance_limits import (
@@ -133,7 +133,7 @@ class PointingCertificate:
         if self.tolerance is not None:
             out.append(_tolerance_line(self.tolerance, self.options.coverage))
         out += [
-            f"The calibration's claim is {claim_kept_or_exceeded_text(one.found)} by {one.recording}."
+            f"The calibration's claim is {claim_check_result_text(one.found)} by {one.recording}."
             for one in self.claims
             if one.parts
         ]

@@ -107,17 +107,14 @@ def verification_line(held_out: HeldOut, claim: Claim | None, verification: Veri
     if not verification.parts:
         return f"{here}; nothing that was measured is claimed"
     return (
-        f"{here}; the claim is {claim_kept_or_exceeded_text(verification)} ({_claim_comparison_text(verification)})"
+        f"{here}; the claim is {claim_check_result_text(verification)} ({_claim_comparison_text(verification)})"
         + (f"; {verification.far}" if verification.far is not None else "")
         + explaining_rigid_motion_text(verification)
     )
 
 
-def claim_kept_or_exceeded_text(verification: Verification) -> str:
-    """Text of a claim's status.
-
-    Kept or not kept.
-    """
+def claim_check_result_text(verification: Verification) -> str:
+    """Text of a check's result: the claim is kept, NOT kept, or exceeded by what its unexplained part permits."""
     if verification.kept:
         return "kept"
     within = (

@@ -392,9 +392,9 @@ def claim_without_geometry(samples: Samples, certified: Certified, rng: np.rando
 
 def extension_in_words(correction: AnyCorrection) -> str:
     """By what a correction is extended, over configurations and over poses, in words."""
-    ways = [] if correction.extension is None else [correction.extension.kind]
-    ways += [f"{one.field.kind} in pose space" for one in correction.posed]
-    return " and ".join(ways) or "nothing at all"
+    methods = [] if correction.extension is None else [correction.extension.kind]
+    methods += [f"{one.field.kind} in pose space" for one in correction.posed]
+    return " and ".join(methods) or "nothing at all"
 
 
 def empty_claim_without_held_out_data(information: ConfigurationInformation, workspace: str) -> Claim:

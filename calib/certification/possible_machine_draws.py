@@ -92,7 +92,7 @@ def draw_strut_deviation_sizes(
         D, C = model.D[:, i], model.common[:, i]
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * tolerance.prior**2) @ D.T
         struts.append(Closures(y[:, i], V, float(np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1)))), own))
-    draws = draw_strut_deviation_component_sizes(struts, _scattered(identified, model, counted), COUNT, rng)
+    draws = draw_strut_deviation_component_sizes(struts, _scattered(identified, counted), COUNT, rng)
     if is_redundant(nominal):  # the loops that no pose moves show how much all struts scatter
         for own, drawn, scatter in zip(parts, draws, identified.scatter):
             scattering = [part.over == SAMPLE for part in own]
@@ -100,7 +100,7 @@ def draw_strut_deviation_sizes(
     return StrutDeviationSizes(counted, parts, draws)
 
 
-def _scattered(found: Identified, model: "_Closures", counted: Booleans) -> Callable[[Floats], Floats]:
+def _scattered(found: Identified, counted: Booleans) -> Callable[[Floats], Floats]:
     """(k,) sizes, m -> (k,) by how much the log likelihood of all struts' closures together grows where each scatters
     by so much.
 

@@ -281,22 +281,17 @@ def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection, 
     nominal, some = correction.nominal, list(space.coordinates)
     T = correction.predict(samples.commanded)
     x = timed_command_sequence_and_pose_space_correction_map.pose_coordinates(T, space.home)[:, some]
-    both, told = x, list(range(len(NAMES)))
+    both, given = x, list(range(len(NAMES)))
     if is_parallel(nominal):
         _, all_over = solvable_commands_and_poses(evenly_spread_configurations(nominal, PLACES, 1.0), correction)
         box = timed_command_sequence_and_pose_space_correction_map.pose_coordinates(all_over, space.home)[:, some]
-        both, told = np.concatenate([x, box]), some
+        both, given = np.concatenate([x, box]), some
     return FieldSamples(
         x,
-        timed_command_sequence_and_pose_space_correction_map.pose_error_tangents(T, samples.T_base_platform)[:, told],
-        np.einsum("nii->ni", samples.covariance)[:, told],
+        timed_command_sequence_and_pose_space_correction_map.pose_error_tangents(T, samples.T_base_platform)[:, given],
+        np.einsum("nii->ni", samples.covariance)[:, given],
         np.stack([both.min(axis=0), both.max(axis=0)], axis=1),
     )
-
-
-def indices_of_varying_pose_coordinates(mechanism: Parallel) -> tuple[int, ...]:
-    """Indices of the pose coordinates in which poses of a mechanism differ."""
-    return mechanism.pose_coordinates
 
 
 def home_pose(mechanism: Parallel) -> RigidTransform:
@@ -307,7 +302,7 @@ def home_pose(mechanism: Parallel) -> RigidTransform:
 
 def pose_space_of_mechanism(mechanism: Parallel) -> PoseSpace:
     """Pose space of a mechanism on struts: the coordinates in which its poses differ, rotations counted from home."""
-    return PoseSpace(home_pose(mechanism), indices_of_varying_pose_coordinates(mechanism))
+    return PoseSpace(home_pose(mechanism), mechanism.pose_coordinates)
 
 
 def correction_with_pose_space_map(

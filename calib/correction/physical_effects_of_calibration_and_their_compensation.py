@@ -238,18 +238,9 @@ class Machine:
         ):
             object.__setattr__(self, name, value)
 
-    def effective(
-        self,
-        commands: Commands,
-        t: Floats,
-        T: RigidTransform,
-        effects: tuple[Effect, ...] | None = None,
-        sensors: Sensors | None = None,
-    ) -> Floats:
-        """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,). effects,
-        sensors : in place of its own
-        """
-        return self.reached(commands, t, T, effects, sensors)[0]
+    def effective(self, commands: Commands, t: Floats, T: RigidTransform) -> Floats:
+        """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,)."""
+        return self.reached(commands, t, T)[0]
 
     def reached(
         self,
@@ -260,7 +251,7 @@ class Machine:
         sensors: Sensors | None = None,
     ) -> tuple[Floats, Floats]:
         """(the same, (n, 6) m and rad by which an arm's hand stands beyond that, which of struts counts as their
-        length).
+        length). effects, sensors : in place of its own
         """
         effects = self.effects if effects is None else effects
         lengths, sway = commands.at(t), np.zeros((len(t), 6))

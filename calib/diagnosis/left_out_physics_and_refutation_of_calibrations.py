@@ -152,9 +152,7 @@ def refuted_calibrations(
     """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
 
     recording_marks : marks of the recording; calibration_paths : files that may be calibrations, all else is
-    passed over; samples : Samples
-        of
-    the recording, None where nothing was commanded
+        passed over; samples : Samples of the recording, None where nothing was commanded
     """
     out = []
     for path, tree in _made_from(recording_marks, calibration_paths):
@@ -179,11 +177,8 @@ def refuted_calibrations(
 def unexplained_findings_and_refutations(
     recording_marks: Marks, calibration_paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
-    """Unexplained findings and refutations of calibrations of a recording.
+    """What calibrations of a recording leave unexplained, and which of them are refuted, by the recording's marks.
 
-    What they leave unexplained, and which of them are refuted.
-
-    By its marks.
     include_later_refutations : whether what other recordings found against them counts, as for what is learnt from the
         recording itself
     """

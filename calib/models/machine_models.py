@@ -5,7 +5,6 @@ Geometric parameters, covariance of corrected poses, file entries.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -21,28 +20,24 @@ from calib.correction.correction_field_methods_fitting_combination_and_json impo
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import PoseMap
 from calib.models.arm import certification as arm_certification
-from calib.models.arm import error_model_and_observations, identification_and_joint_profiles
 from calib.models.arm import error_model_and_observations as arm_errors
 from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import Profile
 from calib.models.chain import certification_and_page as chain_certification
 from calib.models.chain import error_model_and_identification as chains
-from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
+from calib.models.covariance_parameters import covariance_parameters
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import map_workspace
-from rig.array_and_json_types import Booleans, Floats
+from rig.array_and_json_types import Floats
 from rig.formats.checked_entries import Entries
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
-from rig.model.mechanism_geometry_classes import Arm, Chain
+from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism
 from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Mechanism,
     geometric_parameters,
-    has_struts,
     parameter_names,
-    parameter_units_and_scales,
     require_arm,
     require_axes,
     require_chain,
@@ -247,48 +242,24 @@ class IndependentParameters:
 
 
 def independent_parameter_names_units_sizes_and_jacobian(mechanism: Mechanism) -> IndependentParameters:
-    """Names, units, sizes and pose Jacobian of a mechanism's independent geometric parameters."""
-    if isinstance(mechanism, Arm):
-        free = identification_and_joint_profiles.independent_arm_parameter_mask(mechanism, "pose")
-        size = np.array([PLAUSIBLE[unit] for unit in error_model_and_observations.parameter_units(mechanism)])
-        return _selected_freedoms(
-            free,
-            error_model_and_observations.parameter_names(mechanism),
-            error_model_and_observations.parameter_units(mechanism),
-            size,
-            partial(error_model_and_observations.parameter_jacobian, arm=mechanism),
-        )
-    if isinstance(mechanism, Chain):
-        size = chains.parameter_tolerances(mechanism)
-        found = _selected_freedoms(
-            size > 0,
-            chains.parameter_names(mechanism),
-            chains.parameter_units(mechanism),
-            size,
-            partial(chains.parameter_jacobian, chain=mechanism),
-        )
-        return IndependentParameters(found.names, found.units, found.size, found.jacobian, True)
-    struts = require_parallel(mechanism)
-    units, scales = parameter_units_and_scales(struts)
-    size = np.full(len(units), PRIOR) if has_struts(struts) else SCALE * scales
+    """Names, units, sizes and pose Jacobian of a mechanism's independent geometric parameters.
+
+    Raises RigError for a body that is moved by hand.
+    """
+    machine = require_axes(mechanism)
+    whole, kinematics = covariance_parameters(machine), mechanisms.kinematics_of(machine)
+    free = np.flatnonzero(whole.tolerance).tolist()
+    scale = whole.scale[free]
 
     def by_unit(values: Floats) -> Floats:
-        return pose_parameter_jacobian(mechanisms.kinematics_of(struts).forward(values, struts), struts) / scales
+        return whole.jacobian(values, kinematics.forward(values, machine))[..., free] / scale
 
-    return IndependentParameters(parameter_names(struts), units, size, by_unit, False)
-
-
-def _selected_freedoms(
-    free: Booleans, names: tuple[str, ...], units: tuple[str, ...], size: Floats, jacobian: Callable[[Floats], Floats]
-) -> IndependentParameters:
-    """Freedoms of those of the parameters that are free (p,) bool."""
-    retained = np.flatnonzero(free).tolist()
     return IndependentParameters(
-        tuple(names[k] for k in retained),
-        tuple(units[k] for k in retained),
-        size[retained],
-        lambda values: jacobian(values)[..., retained],
-        False,
+        tuple(whole.names[k] for k in free),
+        tuple(whole.units[k] for k in free),
+        SCALE * scale if isinstance(machine, FileMechanism) else whole.tolerance[free],
+        by_unit,
+        isinstance(machine, Chain),
     )
 
 

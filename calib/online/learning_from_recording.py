@@ -147,7 +147,8 @@ def learn_by_simple_learner(
         f"{last:.3g} in the last (1 once converged)",
         _moved_line(learner.nominal, moved) + ("" if sigma is None else f", known to {sigma}"),
     )
-    result = OnlineResult(samples.frame, errors, found.source, (), (), sigma, _moved_line(learner.nominal, moved))
+    known = None if sigma is None else f"{_parameter_words(learner.nominal)} are known to {sigma}"
+    result = OnlineResult(samples.frame, errors, found.source, (), (), known, _moved_line(learner.nominal, moved))
     return Learning(learner, result, lines, figures, found)
 
 
@@ -260,7 +261,7 @@ def _online_result(
         source,
         sentences,
         dropped,
-        _rms_text(np.sqrt(np.diag(learner.covariance))),
+        f"joints and zeros are known to {_rms_text(np.sqrt(np.diag(learner.covariance)))}",
         moved,
         [
             f"strut {strut} alternates: play or another effect of the direction, not missed steps"

@@ -196,15 +196,16 @@ class MeasuredFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunState:
-    """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
-    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first;
+    """What displays show. places_and_units : (place, "m" or "rad") of each axis
+    phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
+    ranges : (axes, 2) m; alarms : the latest; seen : the latest MeasuredFrame, None before the first;
         frames is 0 where nobody knows how many there will be; ended : why, None while it goes
     activity : "starting", "moving", "holding" (the struts are to rest) or "ended"; then : what comes next, in words
     events : the latest (s, in words); readings : {channel: value} of the sensors; shot : the latest frame, measured or
         not, None before the first; question : (frame, in words) that the operator is asked, None for nothing
-    axes : place and unit, "m" or "rad", of each axis, () for struts
     """
 
+    places_and_units: tuple[tuple[str, str], ...]
     phase: str
     frame: int
     frames: int
@@ -223,12 +224,6 @@ class RunState:
     readings: dict[str, float] = field(default_factory=dict)
     shot: RecordedFrame | None = None
     question: tuple[int, str] | None = None
-    axes: tuple[tuple[str, str], ...] = ()
-
-    @property
-    def places_and_units(self) -> tuple[tuple[str, str], ...]:
-        """(place, "m" or "rad") of each axis."""
-        return self.axes or tuple((f"strut {i + 1}", "m") for i in range(len(self.lengths)))
 
 
 class RunStateChanges(TypedDict, total=False):

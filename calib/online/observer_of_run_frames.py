@@ -100,6 +100,7 @@ class RunObserver:
         self._travel, self._planned = self._distances / speeds, planned
         frames = sum(step.frames for step in planned)
         self.state = RunState(
+            tuple(zip(mechanisms.axis_place_texts(design.mechanism), mechanisms.axis_units(design.mechanism))),
             "starting",
             0,
             frames,
@@ -112,7 +113,6 @@ class RunObserver:
             (),
             None,
             None,
-            axes=tuple(zip(mechanisms.axis_place_texts(design.mechanism), mechanisms.axis_units(design.mechanism))),
         )
         self._lock = threading.RLock()
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()

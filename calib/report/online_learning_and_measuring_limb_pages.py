@@ -36,7 +36,7 @@ class OnlineResult:
     """What poses taught. frames : (n,) their numbers; innovations : (n, k) whitened, N(0, I) where nothing is wrong;
     source : of the poses
     change_lines : a line for each change; dropped : numbers of frames left out; known : to how much parameters
-    are known, in words, or None; moved : by how much they moved, a sentence without its full stop
+    are known, or None; moved : by how much they moved; each a sentence without its full stop
     returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
     calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
 
@@ -84,7 +84,7 @@ def online_verdict(result: OnlineResult) -> Verdict:
     """Verdict on on-line learning."""
     last = result.innovations[-max(len(result.innovations) // 4, 1) :]
     off = float(np.sqrt(np.mean(last**2)))
-    known = "" if result.known is None else f"; {result.moved.split(' moved ')[0]} are known to {result.known}"
+    known = "" if result.known is None else f"; {result.known}"
     changes = (
         f"{len(result.change_lines)} change{'s' * (len(result.change_lines) != 1)}"
         if result.change_lines

@@ -25,7 +25,7 @@ parameters = (
 home = (0.0, 0.0, HEIGHT, 0.0, 0.0, 0.0)
 
 
-def inverse(pose, p):
+def inverse(pose: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray:
     """Angles of the cranks (..., 6) rad of poses (..., 4, 4)."""
     joints = p["joints"] @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3] - p["pivots"]
     level = joints[..., 0] * np.cos(p["azimuths"]) + joints[..., 1] * np.sin(p["azimuths"])

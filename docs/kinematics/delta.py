@@ -16,7 +16,7 @@ freedoms = ("x", "y", "z")
 home = (0.0, 0.0, 0.09, 0.0, 0.0, 0.0)
 
 
-def inverse(pose, p):
+def inverse(pose: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray:
     """Heights of the carriages (..., 3) m of poses (..., 4, 4)."""
     xy = pose[..., None, :2, 3] + p["joints"] - p["rails"]
     return pose[..., None, 2, 3] + np.sqrt(p["bars"] ** 2 - (xy**2).sum(axis=-1)) - p["zeros"]

@@ -25,7 +25,7 @@ parameters = (
 home = (0.0, 0.0, HEIGHT, 0.0, 0.0, 0.0)
 
 
-def inverse(pose, p):
+def inverse(pose: np.ndarray, p: dict[str, np.ndarray]) -> np.ndarray:
     """Places of the carriages (..., 6) m along their rails of poses (..., 4, 4)."""
     joints = p["joints"] @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
     rail = np.concatenate([np.ones((6, 1)), p["directions"]], axis=1)

@@ -21,6 +21,7 @@ from rig.formats.rig_toml.mechanism_entries import Joint
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand
 from rig.model.base_and_link_tilt_sensors import BaseTilt, TiltSensor
 from rig.model.design import (
+    FACES,
     Actuator,
     Arm,
     Camera,
@@ -367,12 +368,7 @@ TABLE_KEYS = (
     "position",
     "rotvec",
     "kind",
-    "+x",
-    "-x",
-    "+y",
-    "-y",
-    "+z",
-    "-z",
+    *FACES,
 )
 
 

@@ -51,7 +51,7 @@ class Driver:
 
     design : with a controller; clock : SystemClock by default; opener : makes the port, by default what [controller]
         port names
-    trace : takes every byte with its time; say : takes a line of text when something was noticed or recovered
+    trace : takes every byte with its time; notify : takes a line of text when something was noticed or recovered
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Driver:
         clock: Clock | None = None,
         opener: Callable[[], Port] | None = None,
         trace: TextIO | None = None,
-        say: Callable[[str], None] | None = None,
+        notify: Callable[[str], None] | None = None,
     ) -> None:
         c = design.driver()
         if opener is None and not (c.port or c.usb):
@@ -76,7 +76,7 @@ class Driver:
             c.timeout,
             trace,
         )
-        self._say = say or (lambda text: None)
+        self._notify = notify or (lambda text: None)
         self._busy = threading.RLock()
         self._known = False  # whether the lengths can be believed
         self._homed: bool | None = None  # what the controller said of that
@@ -98,7 +98,7 @@ class Driver:
         self.link.connect(0.0)
         if stopping:
             self._require_stop_accepted(self.link.run(self._protocol.stop(), stoppable=False))
-        self._say(self.link.greeting())
+        self._notify(self.link.greeting())
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
         within = not mechanisms.kinematics_of(self.mechanism).signed_limit_excess(self._left, self.mechanism).any()
@@ -275,7 +275,7 @@ class Driver:
             if self._watch(start, target, verdict, report):
                 return note or ("" if verdict.accepted else f"reply lost, move completed: {verdict.reason}")
             note = f"resent, as nothing had moved: {verdict.reason}"
-            self._say(note)
+            self._notify(note)
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
     def _watch(
@@ -339,10 +339,10 @@ class Driver:
         try:
             return self.link.run(question(), stoppable)
         except LinkLost as error:
-            self._say(f"{error}; connecting anew")
+            self._notify(f"{error}; connecting anew")
         self.link.connect(patience)
         same = self.link.run(self._protocol.fence(), stoppable)
-        self._say(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
+        self._notify(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
         if not same:
             self._known = False
             raise PositionLost(f"the connection was lost and the controller has restarted; {TRUST}")
@@ -359,7 +359,7 @@ class Driver:
             except MotionError as failed:
                 self._left = None
                 error.add_note(f"the {self._axes} could not be stopped: {failed}")
-                self._say(error.__notes__[-1])
+                self._notify(error.__notes__[-1])
                 if isinstance(error, LinkLost) and isinstance(failed, PositionLost):  # why, and what to do
                     raise PositionLost(f"{error}; {failed}") from error
             raise

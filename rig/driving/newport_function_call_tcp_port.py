@@ -10,14 +10,12 @@ Source: the text interface of Newport's XPS controllers over TCP, as its public 
 """
 
 import select
-import socket
 import threading
 from collections import deque
-from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
+from rig.driving.tcp_socket_by_url import connected_tcp_socket
 from rig.errors import LinkLost
-from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS
 
 SCHEME = "xps"
 PATIENCE = 2.0  # s to connect
@@ -28,11 +26,10 @@ STOPPING = ("GroupMoveAbort", "GroupKill", "KillAll")
 
 
 class _Connection:
-    """A connection that is sent one call at a time. Raises OSError where nothing listens."""
+    """A connection that is sent one call at a time. Raises LinkLost where nothing listens."""
 
-    def __init__(self, address: tuple[str, int]) -> None:
-        self.socket = socket.create_connection(address, timeout=PATIENCE)
-        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    def __init__(self, url: str) -> None:
+        self.socket = connected_tcp_socket(url, PATIENCE)
         self._calls: deque[tuple[str, str]] = deque()  # (number, call); the first has been sent
         self._in = ""
 
@@ -67,15 +64,13 @@ class NewportPort:
 
     def __init__(self, url: str, clock: Clock) -> None:
         self._url, self._clock, self._lock = url, clock, threading.RLock()
-        parts = urlsplit(url)
-        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORTS[SCHEME])
         self._connections: list[_Connection] = []
         try:
             for _ in range(3):
-                self._connections.append(_Connection(address))
-        except OSError as error:
+                self._connections.append(_Connection(url))
+        except LinkLost:
             self.close()
-            raise LinkLost(f"cannot open {url}: {error.strerror or error}") from None
+            raise
         self._in, self._out = b"", b""
 
     def write(self, data: bytes) -> None:

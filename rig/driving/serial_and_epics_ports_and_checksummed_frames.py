@@ -23,16 +23,17 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 
 import serial
 
 from rig.driving import newport_function_call_tcp_port, universal_robots_real_time_interface_port
 from rig.driving.clock import Clock
 from rig.driving.newport_function_call_tcp_port import NewportPort
+from rig.driving.tcp_socket_by_url import connected_tcp_socket
 from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort
 from rig.errors import LinkLost, MissingLibrary
-from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS, port_problem
+from rig.model.protocol_port_and_user_program_name_checks import port_problem
 
 WRITE_TIME = 2.0  # s that a write may take
 MOST_SERIAL = 4096  # bytes of a read
@@ -158,9 +159,7 @@ class Frame(NamedTuple):
 
 
 def encode_frame(direction: str, number: int | None, text: str) -> bytes:
-    """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it.
-    direction : ">" to the controller, "<" from it.
-    """
+    """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it."""
     body = f"{'-' if number is None else number} {text}"
     return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")
 
@@ -199,14 +198,8 @@ class ChannelAccessPort:
             raise MissingLibrary("EPICS needs the package caproto: pip install 'rig[epics]'") from None
         self._ca: Any = caproto
         self._url, self._clock = url, clock
-        parts = urlsplit(url)
-        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORTS[SCHEME])
-        try:
-            self._socket = socket.create_connection(address, timeout=PATIENCE)
-        except OSError as error:
-            raise LinkLost(f"cannot open {url}: no Channel Access server ({error.strerror or error})") from None
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._circuit = caproto.VirtualCircuit(our_role=caproto.CLIENT, address=address, priority=0)
+        self._socket = connected_tcp_socket(url, PATIENCE)
+        self._circuit = caproto.VirtualCircuit(our_role=caproto.CLIENT, address=self._socket.getpeername(), priority=0)
         self._channels: dict[str, Any] = {}
         self._replies: dict[int, Any] = {}  # by ioid
         self._writable: dict[int, bool] = {}  # by the client's number of the channel

@@ -21,11 +21,10 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from urllib.parse import urlsplit
 
 from rig.driving.clock import Clock
+from rig.driving.tcp_socket_by_url import connected_tcp_socket
 from rig.errors import LinkLost
-from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS
 
 SCHEME = "ur"
 PATIENCE = 2.0  # s to connect, and until the robot takes what is sent
@@ -64,13 +63,7 @@ class UniversalRobotsPort:
 
     def __init__(self, url: str, clock: Clock) -> None:
         self._url, self._clock = url, clock
-        parts = urlsplit(url)
-        address = (parts.hostname or "127.0.0.1", parts.port or USUAL_PORTS[SCHEME])
-        try:
-            self._socket = socket.create_connection(address, timeout=PATIENCE)
-        except OSError as error:
-            raise LinkLost(f"cannot open {url}: {error.strerror or error}") from None
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = connected_tcp_socket(url, PATIENCE)
         self._news = threading.Condition()
         self._in, self._out, self._lost, self._count = b"", b"", "", 0
         self._asked: deque[tuple[bytes, int]] = deque()  # (number, count of packets that answers it)

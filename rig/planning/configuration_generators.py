@@ -19,7 +19,6 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
-    has_links,
     is_redundant,
     require_hexapod_or_redundant_hexapod,
 )
@@ -42,9 +41,9 @@ def evenly_spread_configurations(mechanism: Commanded, count: int, fill: float =
     Of more than six struts the nearest that close on poses. Raises NotConverged where none do
     """
     found = sobol_configurations(mechanisms.kinematics_of(mechanism).travel_ranges(mechanism), count, fill, seed)
-    if has_links(mechanism):
-        return mechanism.with_followers(found)
-    return nearest_compatible_strut_lengths(found, mechanism, fill) if is_redundant(mechanism) else found
+    if is_redundant(mechanism):
+        return nearest_compatible_strut_lengths(found, mechanism, fill)
+    return mechanisms.with_followers(found, mechanism)
 
 
 def _sobol_points(axes: int, count: int, seed: int) -> Floats:

@@ -19,7 +19,7 @@ from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.design_comparison_and_cube_turning_instructions import find_cube
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_redundant, require_axes
 from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
 from rig.planning.configuration_generators import (
     FILL,
@@ -141,10 +141,8 @@ def nearest_compatible_commands(values: Floats, design: Design) -> Floats:
 
     Joints that follow others are commanded as their leaders have them.
     """
-    m = design.mechanism
-    if has_links(m):
-        return m.with_followers(values)
-    return nearest_compatible_strut_lengths(values, m) if is_redundant(m) else values
+    m = require_axes(design.mechanism)
+    return nearest_compatible_strut_lengths(values, m) if is_redundant(m) else mechanisms.with_followers(values, m)
 
 
 def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:

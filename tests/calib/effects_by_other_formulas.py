@@ -33,7 +33,7 @@ class SwungCardan(Effect):
     def deviation(self, motion: Motion) -> Floats:
         m, strut = motion.mechanism, int(self.place.split()[1]) - 1
         lengths = []
-        for T in (motion.posed(), m.home):
+        for T in (motion.poses(), m.home):
             near, far = m.base_joints[strut], T.apply(m.platform_joints[strut])
             if self.end:  # seen from the platform
                 near, far = m.platform_joints[strut], T.inv().apply(m.base_joints[strut])

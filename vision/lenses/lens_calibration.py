@@ -118,7 +118,7 @@ def calibrate_lens(
             state,
             ("lenses",),
             stated=stated,
-            lens_prior_sigmas=lambda camera: _worth(camera, terms),
+            lens_prior_sigmas=lambda camera: _lens_prior_sigmas(camera, terms),
         )
         state = result.state
         residuals = o.uv - predict_corners(o, state)[0]
@@ -198,7 +198,7 @@ def _cross(points: Floats) -> Floats:
     return out
 
 
-def _worth(camera: Camera, terms: int) -> Floats:
+def _lens_prior_sigmas(camera: Camera, terms: int) -> Floats:
     """(4 + terms,) standard deviations before the images: next to nothing known, or pinned."""
     names = lens.lens_parameter_names(camera.distortion)[4:]
     return np.array(

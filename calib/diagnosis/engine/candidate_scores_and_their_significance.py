@@ -184,7 +184,7 @@ class Threshold(NamedTuple):
     policy: SelectionPolicy
     is_scatter_estimated: bool = False
 
-    def beside_own_scatter(self, delta_chi2: float) -> float:
+    def delta_chi2_by_noise_alone(self, delta_chi2: float) -> float:
         """Delta chi-square by the noise alone that an effect takes to show one, infinite where none suffices."""
         if not self.is_scatter_estimated:
             return delta_chi2

@@ -13,7 +13,7 @@ from calib.diagnosis.engine.candidate_scores_and_their_significance import Thres
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C, Node
 from calib.diagnosis.engine.cross_validation_and_chance import Dispersion
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
-from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED, Normal
+from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED
 from calib.diagnosis.engine.problem_interface import Fit
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Candidate as EffectCandidate
@@ -101,12 +101,6 @@ def mean_square(moved: Floats) -> Floats:
     return np.einsum("nai,naj->ij", moved, moved) / len(moved)
 
 
-def visible_gram(normal: Normal) -> Floats:
-    """(k, q, q) Gram matrices of Normal equations, those that nuisances swallow none."""
-    left, whole = np.einsum("kqq->k", normal.G), normal.raw.sum(axis=1)
-    return np.where((left > SWALLOWED * whole)[:, None, None], normal.G, 0.0)
-
-
 def detectable_size(
     candidate: C,
     spec_at: Callable[[Node], EffectCandidate],
@@ -128,7 +122,7 @@ def detectable_size(
         about = dispersion(look.node)
         scan = len(candidate.grid), about.freedom
         least = least_significant_delta_chi2(look.rank, candidate.extra, scan, threshold)
-        size = float(np.sqrt(threshold.beside_own_scatter(least * about.ratio) / information))
+        size = float(np.sqrt(threshold.delta_chi2_by_noise_alone(least * about.ratio) / information))
     if named is None:
         return DetectableSize(candidate.name, candidate.place, RMS, look.unit, size)
     parameter = named.parameter

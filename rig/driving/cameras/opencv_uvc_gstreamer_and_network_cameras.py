@@ -11,7 +11,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from typing import TYPE_CHECKING, TypeVar, cast
 
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
@@ -242,10 +242,7 @@ def _result_within(seconds: float, call: Callable[[], T]) -> T | None:
             result.set_exception(error)
 
     threading.Thread(target=run, daemon=True).start()
-    try:
-        return result.result(timeout=seconds)
-    except TimeoutError:
-        return None
+    return result.result() if wait([result], seconds).done else None  # a call may raise TimeoutError itself
 
 
 def open_gstreamer_camera(name: str, pipeline: str, clock: Clock, size: tuple[int, int]) -> VideoSource:

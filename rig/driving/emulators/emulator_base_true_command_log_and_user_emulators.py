@@ -31,7 +31,7 @@ LONGEST = 4096  # bytes kept of a line that does not end
 
 
 class Emulator:
-    """Base of the dialects, which take whole lines and single bytes that act at once, and say things.
+    """Base of emulators, which take whole lines and single bytes that act at once, and send text.
 
     machine : Machine; faults : Faults, the machine's; clock : Clock; limits : (n, 2) m of the counters
     plugged : whether the line is whole; replugged : how often it came back
@@ -135,7 +135,7 @@ class Emulator:
         raise NotImplementedError
 
     def greet(self) -> None:
-        """What is said when the power comes on."""
+        """Send what is sent when the power comes on."""
 
     def power_cycle(self) -> None:
         """Switch off and on."""
@@ -145,10 +145,10 @@ class Emulator:
         self.greet()
 
     def forget(self) -> None:
-        """Drop what is queued to be said or done."""
+        """Drop what is queued to be sent or done."""
         self._generation += 1
 
-    def say(self, text: str, acknowledges: bool = False) -> None:
+    def send(self, text: str, acknowledges: bool = False) -> None:
         """Queue text for the line; the faults armed for answers act on it, and acknowledgements may be lost or
         doubled.
         """
@@ -280,7 +280,7 @@ class LineEmulator(Emulator):
         self._moves = False
         answer = self.answer(text)
         if answer is not None:
-            self.say(self.encode(answer), acknowledges=self._moves)
+            self.send(self.encode(answer), acknowledges=self._moves)
 
     @property
     def start_number(self) -> int:
@@ -323,7 +323,7 @@ class LineEmulator(Emulator):
             return f"{refused} beyond the limits"
         struck = self.start_move(target, seconds)
         if "ok-after-error" in struck:
-            self.say(self.encode(f"{refused} not understood"))
+            self.send(self.encode(f"{refused} not understood"))
         if struck & {"resend", "resend-moving"}:
             return None
         return f"{refused} not understood" if "runs-after-error" in struck else accepted

@@ -5,7 +5,6 @@ From the rig's design; it answers at a terminal or over TCP.
 
 import os
 import select
-import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +30,7 @@ from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.native_strut_protocol import Struts
 from rig.driving.emulators.newport_hxp import NewportHexapod
+from rig.driving.emulators.tcp_servers_of_emulators import ByteServer
 from rig.driving.emulators.urscript import RealTimeServer, UniversalRobot
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import RigError
@@ -260,61 +260,11 @@ class Terminal:
             self._link.unlink(missing_ok=True)
 
 
-class Tcp:
-    """A TCP port; a new caller takes the line over. address : (host, port), port 0 for any that is free."""
-
-    def __init__(self, address: tuple[str, int]) -> None:
-        try:
-            self._listening = socket.create_server(address)
-        except OSError as error:
-            raise RigError(f"cannot listen at {address[0]}:{address[1]}: {error}") from None
-        self._caller: socket.socket | None = None
-        host, port = self._listening.getsockname()[:2]
-        self.name = f"socket://{host}:{port}"
-
-    def plug(self) -> None:
-        """The address stays."""
-
-    def wait(self, seconds: float) -> bytes:
-        ends = [self._listening, *([self._caller] if self._caller else [])]
-        ready = select.select(ends, [], [], max(seconds, 0))[0]
-        if self._listening in ready:
-            self.cut()
-            self._caller = self._listening.accept()[0]
-            self._caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b""
-        if not ready or self._caller is None:
-            return b""
-        try:
-            data = self._caller.recv(MOST)
-        except OSError:
-            data = b""
-        if not data:
-            self.cut()
-        return data
-
-    def send(self, data: bytes) -> None:
-        if self._caller is not None:
-            try:
-                self._caller.sendall(data)
-            except OSError:
-                self.cut()
-
-    def cut(self) -> None:
-        if self._caller is not None:
-            self._caller.close()
-        self._caller = None
-
-    def close(self) -> None:
-        self.cut()
-        self._listening.close()
-
-
 def tcp_wire(emulator: Emulator, address: tuple[str, int]) -> Wire:
     """The wire on which an emulator is served over TCP. Raises RigError where it cannot listen at (host, port)."""
     if isinstance(emulator, UniversalRobot):
         return RealTimeServer(emulator, address)
-    return FunctionServer(address) if isinstance(emulator, NewportHexapod) else Tcp(address)
+    return FunctionServer(address) if isinstance(emulator, NewportHexapod) else ByteServer(address)
 
 
 def serve_emulator(

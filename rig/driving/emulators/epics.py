@@ -52,13 +52,13 @@ class EpicsMotors(Emulator):
         try:
             values = [self._value(*self._field(word.partition("=")[0])) for word in rest]
         except KeyError as error:
-            self.say(encode_frame("<", number, f"ERR the%20server%20has%20no%20{error.args[0]}").decode())
+            self.send(encode_frame("<", number, f"ERR the%20server%20has%20no%20{error.args[0]}").decode())
             return
         if "runs-after-error" in struck or "ok-after-error" in struck:
-            self.say(encode_frame("<", number, "ERR write%20failed").decode())
+            self.send(encode_frame("<", number, "ERR write%20failed").decode())
             if "runs-after-error" in struck:
                 return
-        self.say(encode_frame("<", number, f"OK {' '.join(values)}").decode(), acknowledges=verb == "PUT")
+        self.send(encode_frame("<", number, f"OK {' '.join(values)}").decode(), acknowledges=verb == "PUT")
 
     def _field(self, name: str) -> tuple[int, str]:
         motor, _, field = name.rpartition(".")

@@ -51,9 +51,9 @@ class GCS(Emulator):
 
     def at_once(self, byte: int) -> bool:
         if byte == 5:
-            self.say(f"{(1 << len(self.axes)) - 1 if self.busy else 0:X}\n")
+            self.send(f"{(1 << len(self.axes)) - 1 if self.busy else 0:X}\n")
         elif byte == 7:
-            self.say(f"{NOT_READY if self.machine.homing(self.now) else READY}\n")
+            self.send(f"{NOT_READY if self.machine.homing(self.now) else READY}\n")
         elif byte == 24:
             self._halt()
         return byte in (5, 7, 24)
@@ -66,7 +66,7 @@ class GCS(Emulator):
         if word == "ERR?":
             self._answer_error()
         elif word in ("*IDN?", "SAI?", "HLP?", "VER?", "CSV?", "RDY?"):
-            self.say(
+            self.send(
                 {
                     "*IDN?": IDENTITY + "\n",
                     "SAI?": _lines(self.axes),
@@ -105,10 +105,10 @@ class GCS(Emulator):
         t = self.now
         if self.machine.fault(t) and not self.busy:
             self.error, self.servo = -1024, self.servo & False
-        self.say(f"{self.error}\n", acknowledges=self._moved)
+        self.send(f"{self.error}\n", acknowledges=self._moved)
         self.error = 0
         if self._moved and self.faults.take("stale-alarm"):
-            self.say("0")  # a piece of an older answer, which runs into the next
+            self.send("0")  # a piece of an older answer, which runs into the next
         self._moved = False
 
     def _ask(self, word: str, arguments: list[str]) -> None:
@@ -139,7 +139,7 @@ class GCS(Emulator):
         else:
             self.error = 2
             return
-        self.say(
+        self.send(
             _lines([f"{axis}={value}" for axis, value in zip(self.axes, values) if not arguments or axis in arguments])
         )
 
@@ -196,7 +196,7 @@ class GCS(Emulator):
     def _begin(self, target: Floats) -> None:
         struck = self.start_move(target, self.seconds_of_move(target))
         if "ok-after-error" in struck:
-            self.say("24\n0\n")
+            self.send("24\n0\n")
             return
         if struck & {"resend", "resend-moving"}:
             self._in = b""  # the line came broken, and what came with it
@@ -260,9 +260,9 @@ class GCSHexapod(GCS):
         words = line.decode("latin-1").strip().split()
         word = words[0].upper() if words else ""
         if word == "SPI?":
-            self.say(" \n".join(f"{name}={MM * value:.6f}" for name, value in zip(PIVOT, self.platform.pivot)) + "\n")
+            self.send(" \n".join(f"{name}={MM * value:.6f}" for name, value in zip(PIVOT, self.platform.pivot)) + "\n")
         elif word == "VLS?":
-            self.say(f"{MM * self.platform_velocity:.6f}\n")
+            self.send(f"{MM * self.platform_velocity:.6f}\n")
         elif word == "SPI":
             self._set_pivot(words[1:])
         elif word == "VLS":
@@ -313,7 +313,7 @@ class GCSHexapod(GCS):
             return
         shown = [f"{value:.6f}" for value in self.pose_values()] if word == "POS?" else HEXAPOD_UNITS
         rows = [f"{axis}={value}" for axis, value in zip(AXES, shown) if not arguments or axis in arguments]
-        self.say(" \n".join(rows) + "\n")
+        self.send(" \n".join(rows) + "\n")
 
     def _set(self, word: str, arguments: list[str]) -> None:
         if word != "MOV":

@@ -72,7 +72,7 @@ class GrblHAL(Emulator):
     def greet(self) -> None:
         self._forget_modes()
         self.alarm, self.held = self._alarm_at_start(), False
-        self.say(BANNER + (UNLOCK if self.alarm else ""))
+        self.send(BANNER + (UNLOCK if self.alarm else ""))
 
     def at_once(self, byte: int) -> bool:
         if byte not in ON_REQUEST:
@@ -80,7 +80,7 @@ class GrblHAL(Emulator):
         if byte in (ord("?"), ord("!"), 0x80, 0x87) and not self.alarm and self.machine.homing(self.now):
             pass  # while it homes it reports nothing ($10), and only a reset stops it
         elif byte in (ord("?"), 0x80, 0x87):
-            self.say(self._report(byte == 0x87))
+            self.send(self._report(byte == 0x87))
         elif byte == ord("!") and (self.machine.moving(self.now) or not self.alarm):
             self.machine.halt(self.now)
             self.held = True
@@ -109,14 +109,14 @@ class GrblHAL(Emulator):
     def deaf_alarm(self) -> None:
         super().deaf_alarm()
         self.alarm = 17
-        self.say("ALARM:17\r\n")
+        self.send("ALARM:17\r\n")
 
     def _alarm_at_start(self) -> int:
         """Alarm 11 where it must be homed before anything else ($22 with 4), 0 for none."""
         return 11 if int(self.settings[22]) & 4 and not self.machine.homed else 0
 
     def _verdict(self, error: int) -> None:
-        self.say(f"error:{error}\r\n" if error else "ok\r\n", acknowledges=not error)
+        self.send(f"error:{error}\r\n" if error else "ok\r\n", acknowledges=not error)
 
     def _forget_modes(self) -> None:
         self._inches, self._relative, self._feed, self._motion, self._error = False, False, 0.0, 0, 0
@@ -133,12 +133,12 @@ class GrblHAL(Emulator):
         self._in, self.held, self._blocked = b"", False, False
         alarm = 6 if homing else 3 if moving else 0
         if self.faults.take("stale-alarm"):
-            self.say(f"{self._report(False)[:25]}ALARM:{alarm or 3}\r\n")
+            self.send(f"{self._report(False)[:25]}ALARM:{alarm or 3}\r\n")
             alarm = alarm or 3
         elif alarm:
-            self.say(f"ALARM:{alarm}\r\n")
+            self.send(f"ALARM:{alarm}\r\n")
         self.alarm = alarm if alarm else self.alarm
-        self.say(BANNER + (UNLOCK if self.alarm else ""))
+        self.send(BANNER + (UNLOCK if self.alarm else ""))
 
     def _report(self, whole: bool) -> str:
         t = self.now
@@ -178,22 +178,22 @@ class GrblHAL(Emulator):
         """Carry out a $ line; returns the error, 0 for none, or None where the answer comes later."""
         busy = self.machine.moving(self.now)
         if text == "$":
-            self.say("[HLP:$$ $# $G $I $x=val $C $X $H ~ ! ? ctrl-x]\r\n")
+            self.send("[HLP:$$ $# $G $I $x=val $C $X $H ~ ! ? ctrl-x]\r\n")
         elif text == "$I":
-            self.say(
+            self.send(
                 f"[VER:1.1f.20260817:]\r\n[OPT:VNML,{BLOCKS},{self.buffer},{len(self.axes)},0]\r\n"
                 f"[AXS:{len(self.axes)}:{self.axes}]\r\n"
                 "[FIRMWARE:grblHAL]\r\n"
             )
         elif text == "$G":
-            self.say(
+            self.send(
                 f"[GC:G{self._motion} G54 G17 G{20 if self._inches else 21} G{91 if self._relative else 90} "
                 "G94 G49 G98 G50 M5 M9 T0 "
                 f"F{self._feed:g} S0.]\r\n"
             )
         elif text == "$#":
             zeros = self._figures(np.zeros(len(self.axes)))
-            self.say(f"[G54:{self._figures(self._counts * self.offset)}]\r\n[G92:{zeros}]\r\n[TLO:{zeros}]\r\n")
+            self.send(f"[G54:{self._figures(self._counts * self.offset)}]\r\n[G92:{zeros}]\r\n[TLO:{zeros}]\r\n")
         elif text == "$X":
             if self.machine.deaf or self._blocked:
                 return 79
@@ -201,11 +201,11 @@ class GrblHAL(Emulator):
                 return 46
             if self.alarm:
                 self.alarm = 0
-                self.say("[MSG:Caution: Unlocked]\r\n")
+                self.send("[MSG:Caution: Unlocked]\r\n")
         elif busy:
             return 8
         elif text == "$$":
-            self.say(
+            self.send(
                 "".join(
                     f"${number}={value:.3f}\r\n" if isinstance(value, float) else f"${number}={value}\r\n"
                     for number, value in sorted(self.settings.items())
@@ -238,7 +238,7 @@ class GrblHAL(Emulator):
             self._verdict(0)
             return
         self.alarm = 9
-        self.say("ALARM:9\r\n[MSG:Reset to continue]\r\n")
+        self.send("ALARM:9\r\n[MSG:Reset to continue]\r\n")
 
     def _block(self, text: str) -> None:
         """Parse and carry out a line of G-code."""
@@ -287,15 +287,15 @@ class GrblHAL(Emulator):
                 target[i] = value + (0 if machine_coordinates else self.offset[i])
         if self.settings[20] and self.is_beyond_limits(target):
             self.alarm, self._blocked = 2, True
-            self.say("ALARM:2\r\n[MSG:Reset to continue]\r\n")
+            self.send("ALARM:2\r\n[MSG:Reset to continue]\r\n")
             return
         duration = float(np.linalg.norm(self._counts * (target - start))) / (self._feed / 60) if self._motion else 0.0
         struck = self.start_move(target, duration)
         if "ok-after-error" in struck:
             self._fail(1)
             self._error = 0
-            self.say("ok\r\n")
+            self.send("ok\r\n")
         elif struck & {"resend", "resend-moving"}:
-            self.say("Resend:1\r\n")
+            self.send("Resend:1\r\n")
         else:
             self._verdict(1 if struck else 0)

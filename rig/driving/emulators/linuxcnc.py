@@ -56,14 +56,14 @@ class LinuxCNC(Emulator):
         if not text:
             return
         if self._echo and self._linked:
-            self.say(text + END)
+            self.send(text + END)
         words = text.split()
         command = words[0].upper()
         if command == "HELLO":
             self._linked = len(words) == 4 and words[1] == "EMC"
-            self.say(("HELLO ACK EMCNETSVR 1.1" if self._linked else "HELLO NAK") + END)
+            self.send(("HELLO ACK EMCNETSVR 1.1" if self._linked else "HELLO NAK") + END)
         elif not self._linked or len(words) < 2 or command not in ("GET", "SET"):
-            self.say(f"{command if command in ('GET', 'SET') else 'Unknown command:'} NAK{END}")
+            self.send(f"{command if command in ('GET', 'SET') else 'Unknown command:'} NAK{END}")
         elif command == "GET":
             self._get(words[1].upper())
         else:
@@ -96,9 +96,9 @@ class LinuxCNC(Emulator):
             "USER_LINEAR_UNITS": "MM",
         }
         if word == "ERROR":
-            self.say(f"ERROR {self._errors.pop(0) if self._errors else 'OK'}{END}")
+            self.send(f"ERROR {self._errors.pop(0) if self._errors else 'OK'}{END}")
         else:
-            self.say((f"{word} {answers[word]}" if word in answers else f"GET {word} NAK") + END)
+            self.send((f"{word} {answers[word]}" if word in answers else f"GET {word} NAK") + END)
 
     def _set(self, word: str, arguments: list[str], text: str) -> None:
         value = arguments[0].upper() if arguments else ""
@@ -130,7 +130,7 @@ class LinuxCNC(Emulator):
 
     def _answer(self, word: str, accepted: bool) -> None:
         if not accepted or self._verbose:
-            self.say(
+            self.send(
                 f"SET {word} {'ACK' if accepted else 'NAK'}{SET_END}", acknowledges=accepted and word in ("MDI", "HOME")
             )
 
@@ -171,7 +171,7 @@ class LinuxCNC(Emulator):
     def _go(self, target: Floats, duration: float) -> None:
         struck = self.start_move(target, duration)
         if "ok-after-error" in struck:
-            self.say(f"SET MDI NAK{SET_END}SET MDI ACK{SET_END}")
+            self.send(f"SET MDI NAK{SET_END}SET MDI ACK{SET_END}")
             return
         if "resend" in struck:
             return  # the line never came

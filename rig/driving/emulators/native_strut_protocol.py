@@ -28,7 +28,7 @@ class Struts(Emulator):
 
     def greet(self) -> None:
         self._answered, self._silent = None, False
-        self.say(encode_frame("<", None, f"BOOT {self._boot}").decode())
+        self.send(encode_frame("<", None, f"BOOT {self._boot}").decode())
 
     def at_once(self, byte: int) -> bool:
         if byte != ord("!"):
@@ -40,11 +40,11 @@ class Struts(Emulator):
         frame = last_valid_frame_in_line(">", line.decode("latin-1"))
         if frame is None or frame.number is None:
             if line.strip():
-                self.say(encode_frame("<", None, "NAK").decode())
+                self.send(encode_frame("<", None, "NAK").decode())
             return
         self._heard = self.now
         if self._answered is not None and self._answered[:2] == (frame.number, frame.text):
-            self.say(self._answered[2].decode())  # asked again: answered again, not carried out again
+            self.send(self._answered[2].decode())  # asked again: answered again, not carried out again
             return
         word, *arguments = frame.text.split()
         answer = self._carry_out(word, arguments)
@@ -52,7 +52,7 @@ class Struts(Emulator):
             return
         data = encode_frame("<", frame.number, answer)
         self._answered = None if word == "HELLO" else (frame.number, frame.text, data)
-        self.say(data.decode(), acknowledges=word in ("MOVE", "HOME"))
+        self.send(data.decode(), acknowledges=word in ("MOVE", "HOME"))
 
     def due(self) -> bytes:
         self._watchdog()
@@ -138,11 +138,11 @@ class Struts(Emulator):
             return "ERR 4"
         struck = self.start_move(target, cruise / 1e3)
         if "ok-after-error" in struck:
-            self.say(encode_frame("<", None, "NAK").decode())
+            self.send(encode_frame("<", None, "NAK").decode())
             return "ERR 2" if self.faults.rng.random() < 0.5 else None
         if "resend" in struck:
             return "NAK" if self.faults.rng.random() < 0.5 else None
         if "resend-moving" in struck:
-            self.say(encode_frame("<", None, "NAK").decode())
+            self.send(encode_frame("<", None, "NAK").decode())
             return None
         return "ERR 2" if struck else "OK"

@@ -186,7 +186,7 @@ class NewportHexapod(LineEmulator):
             self.later(self.machine.axes.until, self._end)
             return
         error = {5: -28, 22: -25, 2: -26}.get(self.group_state, -27 if self._aborted else 0)
-        self.say(self.encode(f"{self._unanswered} {error},"), acknowledges=True)
+        self.send(self.encode(f"{self._unanswered} {error},"), acknowledges=True)
         self._unanswered = None
 
     def _command(self, function: str) -> int:

@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
+from rig.driving.axis_display_units_and_controller_counts import greatest_distance_text
 from rig.driving.axis_driver import Driver
 from rig.driving.controller_status_and_limits import unit_hint
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import ALWAYS, KINDS
@@ -132,10 +133,10 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
         except MotionError:
             _require_true_lengths(driver, emulator)
             raise
-        off = float(np.abs(emulator.machine.axes.at(clock.now()) - target).max())
+        off = emulator.machine.axes.at(clock.now()) - target
         _require(
-            off <= arrival_tolerance_of_axes(design),
-            f"a move ended {off * 1e3:.4f} mm or mrad from its goal and was reported as done",
+            bool(np.abs(off).max() <= arrival_tolerance_of_axes(design)),
+            f"a move ended {greatest_distance_text(off, driver.mechanism, 4)} from its goal and was reported as done",
         )
         took = emulator.machine.axes.until - emulator.machine.executed[-1].t
         _require(
@@ -206,11 +207,12 @@ def _idle_where_it_stands(design: Design, protocol: str, seed: int) -> str:
         clock.before_write = lambda: None
         if asked < late:
             return "by one request" if asked == 1 else f"by {asked} requests"
-        off = float(np.abs(cast(Floats, state.positions) + driver.controller.zero - axes.at(clock.now())).max())
+        off = cast(Floats, state.positions) + driver.controller.zero - axes.at(clock.now())
         _require(
-            state.activity != "idle" or off <= driver.controller.tolerance,
-            f"`state` is idle, with positions {1e3 * off:.3f} mm from where the axes stand: they are asked for before "
-            "the status, and the move ended in between; ask for the status first, or for both at once",
+            state.activity != "idle" or bool(np.abs(off).max() <= driver.controller.tolerance),
+            f"`state` is idle, with positions {greatest_distance_text(off, driver.mechanism)} from where the axes "
+            "stand: they are asked for before the status, and the move ended in between; ask for the status first, or "
+            "for both at once",
         )
         clock.sleep(max(axes.until - clock.now(), 0.0) + 0.1)
     raise RigError(f"`state` takes more than {QUESTIONS} requests")

@@ -4,7 +4,6 @@ A movej that states its blend radius r is taken for a homing, as the protocol se
 """
 
 import re
-import select
 import socket
 import time
 
@@ -14,9 +13,9 @@ from rig.array_and_json_types import Floats
 from rig.driving.clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import LineEmulator
+from rig.driving.emulators.tcp_servers_of_emulators import TcpServer
 from rig.driving.protocols.urscript import NORMAL, PLAYING, PROTECTIVE_STOP, RUNNING, STOPPED, URScript
-from rig.driving.universal_robots_real_time_interface_port import MOST_OF_SOCKET, SCHEME, packet, robot_state_line
-from rig.errors import RigError
+from rig.driving.universal_robots_real_time_interface_port import SCHEME, packet, robot_state_line
 
 PERIOD = 0.008  # s between packets
 FAULT = 9  # the safety mode that only switching off and on ends
@@ -68,43 +67,17 @@ class UniversalRobot(LineEmulator):
         return self.move(target, float(far) / float(found[5]), yes, no)
 
 
-class RealTimeServer:
-    """TCP side of the real-time interface; see
-    rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp.Wire.
+class RealTimeServer(TcpServer):
+    """See TcpServer. robot : whose state every caller is sent"""
 
-    address : (host, port), port 0 for any that is free. Raises RigError where it cannot listen
-    """
+    scheme = SCHEME
 
     def __init__(self, robot: UniversalRobot, address: tuple[str, int]) -> None:
-        try:
-            self._listening = socket.create_server(address)
-        except OSError as error:
-            raise RigError(f"cannot listen at {address[0]}:{address[1]}: {error}") from None
-        self._robot, self._callers, self._due = robot, list[socket.socket](), 0.0
-        host, port = self._listening.getsockname()[:2]
-        self.name = f"{SCHEME}://{host}:{port}"
-
-    def plug(self) -> None:
-        """The address stays."""
+        super().__init__(address)
+        self._robot, self._due = robot, 0.0
 
     def wait(self, seconds: float) -> bytes:
-        data = b""
-        pause = max(min(seconds, self._due - time.monotonic()), 0.0)
-        for ready in select.select([self._listening, *self._callers], [], [], pause)[0]:
-            if ready is self._listening:
-                caller = ready.accept()[0]
-                caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                caller.setblocking(False)
-                self._callers.append(caller)
-                continue
-            try:
-                received = ready.recv(MOST_OF_SOCKET)
-            except OSError:
-                received = b""
-            if received:
-                data += received
-            else:
-                self._drop(ready)
+        data = b"".join(data for _, data in self._received(min(seconds, self._due - time.monotonic())))
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + PERIOD
             self._send_packets()
@@ -113,23 +86,16 @@ class RealTimeServer:
     def send(self, data: bytes) -> None:
         """A robot answers no script."""
 
-    def cut(self) -> None:
-        for caller in list(self._callers):
-            self._drop(caller)
-
-    def close(self) -> None:
-        self.cut()
-        self._listening.close()
+    def _take(self, caller: socket.socket) -> None:
+        caller.setblocking(False)
+        super()._take(caller)
 
     def _send_packets(self) -> None:
         data = self._robot.packet()
         for caller in list(self._callers):
             try:
-                if caller.send(data) < len(data):  # a part of a packet would spoil all that follow
-                    self._drop(caller)
+                sent = caller.send(data)
             except OSError:
+                sent = 0
+            if sent < len(data):  # a part of a packet would spoil all that follow
                 self._drop(caller)
-
-    def _drop(self, caller: socket.socket) -> None:
-        self._callers.remove(caller)
-        caller.close()

@@ -49,7 +49,7 @@ BITS = {  # of MSTA, that keep a motor from moving
     12: "does not answer its controller",
     13: "at its lower limit switch",
 }
-MM_AND_DEGREES = controller_counts_per_metre_or_radian(["m"] * 3 + ["rad"] * 3)
+CONTROLLER_SCALES = controller_counts_per_metre_or_radian(["m"] * 3 + ["rad"] * 3)  # mm and degrees, of X .. W
 STILL = 1e-7  # m, rad: a coordinate that changes by less is written, at the speed that its record has
 HOMED = 14  # bit of MSTA
 SEVERITIES = ("no", "minor", "major", "invalid")
@@ -282,7 +282,7 @@ class EpicsHexapod(Epics):
         self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool, controller.angles)
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
-        start, goals = self.poses.values(np.stack([segment.start, segment.target])) / MM_AND_DEGREES
+        start, goals = self.poses.values(np.stack([segment.start, segment.target])) / CONTROLLER_SCALES
         change = np.abs(goals - start)
         speeds = (
             change / segment.duration if segment.duration > 0 else np.zeros(6)
@@ -295,7 +295,7 @@ class EpicsHexapod(Epics):
         return None  # LLM and HLM are of coordinates, and not of struts
 
     def _positions(self, readings: Floats) -> Floats:
-        return self.poses.positions(readings / self._unit * MM_AND_DEGREES)
+        return self.poses.positions(readings / self._unit * CONTROLLER_SCALES)
 
 
 def _answer(line: str, number: int) -> str | None:

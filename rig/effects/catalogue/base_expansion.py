@@ -54,7 +54,7 @@ class BaseExpansion(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         warm = motion.channel(AMBIENT) - REFERENCE_TEMPERATURE
-        ends = motion.kind.strut_ends(motion.posed(), motion.mechanism)
+        ends = motion.kind.strut_ends(motion.poses(), motion.mechanism)
         if ends is None:
             raise RigError(f"{self.name} takes struts on a base plate")
         base, tips = ends

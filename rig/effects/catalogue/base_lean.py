@@ -65,7 +65,7 @@ class BaseLean(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         """Of struts, as what each one's length seems to lack at the pose."""
-        ends = motion.kind.strut_ends(motion.posed(), motion.mechanism) if motion.kind.AXIS == "strut" else None
+        ends = motion.kind.strut_ends(motion.poses(), motion.mechanism) if motion.kind.AXIS == "strut" else None
         if ends is None:
             return np.zeros(motion.lengths.shape)
         base, tips = ends
@@ -78,7 +78,7 @@ class BaseLean(Effect):
         if motion.kind.AXIS == "strut":
             return np.zeros((len(motion.t), 6))
         turn, pivot = self._turn_and_pivot(motion)
-        shift = turn.apply(motion.posed().translation - pivot) + pivot - motion.posed().translation
+        shift = turn.apply(motion.poses().translation - pivot) + pivot - motion.poses().translation
         return motion.tangents(np.concatenate([shift, turn.as_rotvec()], axis=1))
 
     def _turn_and_pivot(self, motion: Motion) -> tuple[Rotation, Floats]:
@@ -138,9 +138,9 @@ def _base_moment(motion: Motion) -> Floats:
     reason = motion.no_loads()
     if reason:
         raise RigError(f"the model {reason}")
-    R, wrench = motion.posed().rotation.as_matrix(), motion.platform_wrench().reshape(-1, 2, 3)
+    R, wrench = motion.poses().rotation.as_matrix(), motion.platform_wrench().reshape(-1, 2, 3)
     force, moment = np.einsum("nij,nkj->kni", R, wrench)
-    return np.cross(motion.posed().translation - _base_origin(motion), force) + moment
+    return np.cross(motion.poses().translation - _base_origin(motion), force) + moment
 
 
 def _link_base_moments(motion: Motion) -> Floats:

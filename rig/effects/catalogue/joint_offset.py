@@ -58,11 +58,11 @@ class JointOffset(Effect):
 
     def deviation(self, motion: Motion) -> Floats:
         at_home = require_hexapod_or_redundant_hexapod(motion.mechanism).home
-        excess, home = self._excess(motion, motion.posed()), self._excess(motion, at_home)
+        excess, home = self._excess(motion, motion.poses()), self._excess(motion, at_home)
         return self.axes(motion.places) * (excess - home)
 
     def covariate(self, motion: Motion) -> Covariate:
-        along, across = self._along_and_across(motion, motion.posed())
+        along, across = self._along_and_across(motion, motion.poses())
         return Covariate(np.degrees(np.arctan2(along, across)), "angle of the cardan about its second axis, degrees")
 
     def _excess(self, motion: Motion, T: RigidTransform) -> Floats:

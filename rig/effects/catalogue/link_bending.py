@@ -11,10 +11,9 @@ from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import joint_carries_joint_matrix
-from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.arm import forward, joint_frames
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import weight_wrench
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_arm
 
 TUBE = 0.77  # G J / (E I) of a closed tube: 1 / (1 + Poisson's ratio), with 0.3 of steel and aluminium
 OPEN = (0.02, 0.1, 0.3)  # the same of open and slit sections, which a search tries
@@ -56,13 +55,13 @@ class LinkBending(Effect):
     of_links: ClassVar = True
 
     def needs(self, motion: Motion) -> str | None:
-        m = motion.mechanism
-        if not has_links(m):
+        if not has_links(motion.mechanism):
             return "takes the links of an arm"
         reason = motion.no_loads()
         if reason:
             return reason
-        return None if _lengths(motion, self._joint(motion)).max() > SHORT else "takes a link that has a length"
+        root, tip = _ends(motion, self._joint(motion))
+        return None if np.linalg.norm(tip - root, axis=1).max() > SHORT else "takes a link that has a length"
 
     def sway(self, motion: Motion) -> Floats:
         if np.isinf(self.stiffness):
@@ -92,9 +91,9 @@ class LinkBending(Effect):
             pull = (force * e).sum(axis=1, keepdims=True) * e
             turn = length * (moment - twist) + length**2 / 2 * np.cross(e, force)
             shift = length**3 / 3 * (force - pull) + length**2 / 2 * np.cross(moment, e)
-            lever = motion.posed().translation - tip
+            lever = motion.poses().translation - tip
             parts = [(turn, shift + np.cross(turn, lever)), (length * twist, np.cross(length * twist, lever))]
-            moves = _hand_is_carried(motion, self._joint(motion))
+            moves = require_arm(motion.mechanism).moving[self._joint(motion)]  # whether the link carries the hand
             return np.stack([moves * motion.tangents(np.concatenate([by, turned], axis=1)) for turned, by in parts])
 
         bent, twisted = motion.once((self.name, self.place), made)
@@ -122,35 +121,17 @@ class LinkBending(Effect):
         ]
 
 
-def _arm(motion: Motion) -> Arm:
-    m = motion.mechanism
-    if not has_links(m):
-        raise RigError("link_bending takes the links of an arm")
-    return m
-
-
 def _ends(motion: Motion, joint: int) -> tuple[Floats, Floats]:
     """(root, far end) (n, 3) m of the link that a joint moves; of a slide, its free length."""
-    frames = joint_frames(motion.lengths, _arm(motion))
+    frames = joint_frames(motion.lengths, require_arm(motion.mechanism))
     return frames.before[:, joint, :3, 3], frames.after[:, joint, :3, 3]
-
-
-def _lengths(motion: Motion, joint: int) -> Floats:
-    """(n,) m of the link that a joint moves, at each posture."""
-    root, tip = _ends(motion, joint)
-    return np.asarray(np.linalg.norm(tip - root, axis=1))
-
-
-def _hand_is_carried(motion: Motion, joint: int) -> bool:
-    """Whether the hand at which the arm is seen moves with a joint's link."""
-    return bool(_arm(motion).moving[joint])
 
 
 def _hand_loads(motion: Motion, joint: int) -> list[tuple[Floats, Floats, Floats]]:
     """(place (n, 3) m, force (n, 3) N, moment (n, 3) N m about that place) of each hand that a joint's link carries."""
-    arm = _arm(motion)
+    arm = require_arm(motion.mechanism)
     if not arm.hands:
-        loads = [(motion.posed(), motion.platform_wrench())]
+        loads = [(motion.poses(), motion.platform_wrench())]
     else:
         carried, gravity, loads = joint_carries_joint_matrix(arm.parents)[joint], motion.gravity_in_base(), []
         for number, hand in enumerate(arm.hands):

@@ -65,4 +65,4 @@ class ScrewCoupling(Effect):
         if reason:
             raise RigError(f"{self.name} {reason}")
         m = require_hexapod_or_redundant_hexapod(motion.mechanism)
-        return cardan_twist_angles_about_struts(motion.posed(), m) - cardan_twist_angles_about_struts(m.home, m)
+        return cardan_twist_angles_about_struts(motion.poses(), m) - cardan_twist_angles_about_struts(m.home, m)

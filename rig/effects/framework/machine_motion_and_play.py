@@ -205,7 +205,7 @@ class Motion:
         poses.
         """
         home = self.kind.forward(self.home[None], self.mechanism)
-        T = self.posed()
+        T = self.poses()
         return np.concatenate(
             [T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1
         )
@@ -214,7 +214,7 @@ class Motion:
         """(n, 6) tangents, on the right, of what moves by (n, 6) m and rad along the axes of the frame of poses and, at
         its origin, about them.
         """
-        back = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2)
+        back = np.swapaxes(self.poses().rotation.as_matrix(), 1, 2)
         return (back[:, None] @ moved.reshape(-1, 2, 3, 1)).reshape(-1, 6)
 
     def once(self, key: tuple[object, ...], make: Callable[[], Floats]) -> Floats:
@@ -286,7 +286,7 @@ class Motion:
         logged = self.sensors is not None and PAYLOAD in self.sensors.channels
         return self.channel(PAYLOAD) if logged else np.zeros(len(self.t))
 
-    def posed(self) -> RigidTransform:
+    def poses(self) -> RigidTransform:
         """T, the poses (n,). Raises ValueError for a Motion that has none."""
         if self.T is None:
             raise ValueError("this requires a motion with its poses")
@@ -327,9 +327,9 @@ class Motion:
     def platform_wrench(self) -> Floats:
         """(n, 6) N and N m of the weight of the platform and its payload, in the platform's frame."""
         platform, payload, gravity = self.platform, self.payload(), self.gravity_in_base()
-        wrench = weight_wrench(self.posed(), gravity, platform.mass or 0.0, platform.centre_of_mass)
+        wrench = weight_wrench(self.poses(), gravity, platform.mass or 0.0, platform.centre_of_mass)
         if payload.any():
-            wrench += weight_wrench(self.posed(), gravity, payload, platform.payload_centre_of_mass)
+            wrench += weight_wrench(self.poses(), gravity, payload, platform.payload_centre_of_mass)
         return wrench
 
     def links(self) -> Floats:

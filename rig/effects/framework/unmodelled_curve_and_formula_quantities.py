@@ -28,7 +28,7 @@ class Quantity:
     `motion`
     values : the same as a function, (n, axes) where each axis has its own, else (n, 1); apart : how to see what depends
         on it, in words
-    powers : the greatest that makes sense; waves : whether a sinusoid of it does; posed : whether it depends on the
+    powers : the greatest that makes sense; waves : whether a sinusoid of it does; on_pose : whether it depends on the
         pose
     lacking : Python that says why a `motion` lacks it, or None, "" for what none lacks"""
 
@@ -40,7 +40,7 @@ class Quantity:
     apart: str
     powers: int = 3
     waves: bool = False
-    posed: bool = False
+    on_pose: bool = False
     lacking: str = ""
 
 
@@ -62,7 +62,7 @@ def quantity_by_name(name: str, axis_word: str) -> Quantity:
             lambda m: m.displaced[:, [i]],
             f"move the platform {'along' if i < 3 else 'about'} {name[-1]} alone",
             waves=True,
-            posed=True,
+            on_pose=True,
         )
     if name == "time":
         return Quantity(
@@ -149,7 +149,7 @@ def _own(name: str, unit: str, word: str) -> Quantity:
         lambda m: m.loads(),
         "change the payload",
         2,
-        posed=True,
+        on_pose=True,
         lacking="motion.no_loads()",
     )
 

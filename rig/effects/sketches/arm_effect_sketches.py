@@ -80,7 +80,7 @@ def _displaced(effect: Effect, motion: Motion) -> str:
     at = int(np.argmax(far))
     much = enlargement_factor(float(far[at]), OUT)
     straight = link_points(motion.lengths[at], arm)
-    T = motion.posed()[at]
+    T = motion.poses()[at]
     bent = straight.copy()
     bent[LINK + 1 :] = (T * exp(much * sway[at]) * T.inv()).apply(straight[LINK + 1 :])
     flat = [_seen(points) for points in (straight, bent)]

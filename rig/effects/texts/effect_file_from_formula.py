@@ -186,7 +186,7 @@ class Written:
             '    action: ClassVar = "A formula, not a cause: look for what makes the '
             f"{'platform' if self.moves_platform else '{axis}'} follow "
             f'{many}."',
-            *(["    on_pose: ClassVar = True"] if any(q.posed for q in self.quantities) or self.moves_platform else []),
+            *["    on_pose: ClassVar = True"] * (self.moves_platform or any(q.on_pose for q in self.quantities)),
             *self._needs(),
             "",
             *self._model(),

@@ -56,7 +56,7 @@ SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedRecording:
-    """exposed : Exposed with times; commanded, logged : or None; posed : Posed or None, with frames; recipe : with all
+    """exposed : with times; commanded, logged : or None; posed : or None, with frames; recipe : with all
     that was found out.
     """
 

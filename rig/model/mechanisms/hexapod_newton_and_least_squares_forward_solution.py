@@ -48,10 +48,8 @@ def solve_poses_in_place_by_pivoted_newton(
     """
     residual = np.full(len(matrix), np.inf)
     open_ = np.arange(len(matrix))
-    reach = 0.3 * np.linalg.norm(hexapod.home.translation)
     for _ in range(MAX_ITERATIONS):
-        R, t = matrix[open_, :3, :3], matrix[open_, :3, 3]
-        length, J = strut_lengths_and_jacobian(R, t, hexapod)
+        length, J = strut_lengths_and_jacobian(matrix[open_, :3, :3], matrix[open_, :3, 3], hexapod)
         error = lengths[open_] - length
         worst = np.abs(error).max(axis=1)
         residual[open_] = worst
@@ -59,17 +57,12 @@ def solve_poses_in_place_by_pivoted_newton(
         if not going.any():
             break
         if not going.all():
-            open_, R, t, J, error = open_[going], R[going], t[going], J[going], error[going]
+            open_, J, error = open_[going], J[going], error[going]
         try:
             step = np.linalg.solve(J, error[..., None])[..., 0]
         except np.linalg.LinAlgError:
             step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
-        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
-        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
-        if observe is not None:
-            observe(matrix[open_], J, error, cast(Floats, step))
-        matrix[open_, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
-        matrix[open_, :3, :3] = R @ _rotation(cast(Floats, step[:, 3:]))
+        _move_by_limited_steps(matrix, open_, J, error, cast(Floats, step), hexapod, observe)
     return residual
 
 
@@ -83,19 +76,14 @@ def poses_of_redundant_lengths_by_gauss_newton(
     """
     matrix = np.array(np.broadcast_to(guess.as_matrix(), (*commanded.shape[:-1], 4, 4)).reshape(-1, 4, 4))
     left, going = np.full(len(matrix), np.inf), np.arange(len(matrix))
-    reach, size = 0.3 * np.linalg.norm(hexapod.home.translation), np.linalg.norm(hexapod.platform_joints, axis=1).max()
+    size = np.linalg.norm(hexapod.platform_joints, axis=1).max()
     for _ in range(MAX_ITERATIONS):
-        R, t = matrix[going, :3, :3], matrix[going, :3, 3]
-        length, J = strut_lengths_and_jacobian(R, t, hexapod)
+        length, J = strut_lengths_and_jacobian(matrix[going, :3, :3], matrix[going, :3, 3], hexapod)
         error = lengths[going] - length
         step = (np.linalg.pinv(J, rcond=LOOSE) @ error[..., None])[..., 0]
-        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
+        move, turn = _sizes(step)
         left[going] = np.maximum(move, size * turn)
-        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
-        if observe is not None:
-            observe(matrix[going], J, error, step)
-        matrix[going, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
-        matrix[going, :3, :3] = R @ _rotation(step[:, 3:])
+        _move_by_limited_steps(matrix, going, J, error, step, hexapod, observe)
         going = going[left[going] > TOLERANCE]
         if not len(going):
             break
@@ -115,9 +103,23 @@ def poses_of_redundant_lengths_by_gauss_newton(
     return matrix
 
 
-def _rotation(rotvec: Floats) -> Floats:
-    """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
-    return Rotation.from_rotvec(rotvec).as_matrix()
+def _sizes(step: Floats) -> tuple[Floats, Floats]:
+    """(m, rad) (n,) each, of steps (n, 6)."""
+    return np.linalg.norm(step[:, :3], axis=1), np.linalg.norm(step[:, 3:], axis=1)
+
+
+def _move_by_limited_steps(
+    matrix: Floats, rows: Integers, J: Floats, error: Floats, step: Floats, hexapod: Hexapod, observe: Observe | None
+) -> None:
+    """Move the rows (k,) of matrix (n, 4, 4) in place by steps (k, 6), of which long ones are shortened."""
+    move, turn = _sizes(step)
+    reach = 0.3 * np.linalg.norm(hexapod.home.translation)
+    step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
+    if observe is not None:
+        observe(matrix[rows], J, error, step)
+    R = matrix[rows, :3, :3]
+    matrix[rows, :3, 3] += (R @ step[:, :3, None])[..., 0]
+    matrix[rows, :3, :3] = R @ Rotation.from_rotvec(step[:, 3:]).as_matrix()
 
 
 def require_converged_forward_solution(

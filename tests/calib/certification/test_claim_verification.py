@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_claim_sentences import claim_kept_or_exceeded_text
+from calib.certification.calibration_dataclass_and_claim_sentences import claim_check_result_text
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.samples.pose_samples import Samples
@@ -145,9 +145,9 @@ def test_a_claim_that_names_something_unexplained_is_refuted_by_half_as_much_aga
     """
     part = Part(47e-6, 24e-6, 1.3, 1.13, 40e-6)
     strict = Verification(60, None, part)
-    assert strict.refutes and claim_kept_or_exceeded_text(strict) == "NOT kept"
+    assert strict.refutes and claim_check_result_text(strict) == "NOT kept"
     named = replace(strict, unexplained=True)
-    assert not named.refutes and not named.kept and "unexplained" in claim_kept_or_exceeded_text(named)
+    assert not named.refutes and not named.kept and "unexplained" in claim_check_result_text(named)
     assert replace(named, rotation=replace(part, of_allowed=1.6)).refutes
     held = replace(named, rotation=replace(part, of_allowed=1.1))
-    assert not held.refutes and claim_kept_or_exceeded_text(held) == "kept"
+    assert not held.refutes and claim_check_result_text(held) == "kept"

@@ -124,7 +124,7 @@ def test_a_file_does_what_its_formula_says(design):
     np.testing.assert_allclose(effect.deviation(motion), expected * (np.arange(6) == 2), atol=1e-18)
     assert effect.needs(replace(motion, sensors=None)) and not effect.needs(motion)
     sway = SAG.kind("sag")("rig", **SAG.values).sway(motion)
-    down = np.einsum("nij,nj->ni", motion.posed().rotation.as_matrix(), sway[:, :3])
+    down = np.einsum("nij,nj->ni", motion.poses().rotation.as_matrix(), sway[:, :3])
     np.testing.assert_allclose(down, 0.2 * q["x"] ** 3 * [0, 0, 1], atol=1e-15)
 
 

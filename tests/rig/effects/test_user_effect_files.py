@@ -211,7 +211,7 @@ def test_commands_take_the_file(tmp_path, rig_text, capsys):
 
 def test_a_model_may_look_at_where_the_platform_is_and_which_way_it_came(design):
     motion = context_of(setting_of(design, "hexapod")).moved()
-    home, T = design.mechanism.home, motion.posed()
+    home, T = design.mechanism.home, motion.poses()
     np.testing.assert_allclose(motion.displaced[:, :3], T.translation - home.translation, atol=1e-9)
     np.testing.assert_allclose(motion.displaced[:, 3:], (T.rotation * home.rotation.inv()).as_rotvec(), atol=1e-9)
     assert not replace(motion, T=type(home).concatenate([home])).displaced.round(9).any()

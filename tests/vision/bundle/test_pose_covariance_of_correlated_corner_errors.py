@@ -21,7 +21,8 @@ WIDTH, HEIGHT = 1280, 1024
 def drawn_corners(frames=FRAMES, cameras=CAMERAS, seen=SEEN, base=0.0):
     """(SmoothImageErrors, local basis (2n, 6), edges (F + 1,), place (n, 2) in the image from -1 to 1, camera (n,)).
 
-    base : share of the corners that do not depend on the pose, and count by a covariance larger than theirs
+    base : share of the corners that do not depend on the pose, and count by a covariance larger than theirs; with any,
+        which they are (n,) bool is returned in place of the camera
     """
     rng = np.random.default_rng(5)
     count = frames * cameras * seen

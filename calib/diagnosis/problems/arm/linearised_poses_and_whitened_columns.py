@@ -106,7 +106,7 @@ class Arms(FieldSummaryRepr):
     def displaced(self, effect: Effect) -> Floats:
         """(n, k) by which an effect, of joints or beyond them, changes what is measured of each hand."""
         motion = self.context.moved()
-        run = (self.context.design, self.commands, self.t, motion.posed(), (effect,), self.context.sensors)
+        run = (self.context.design, self.commands, self.t, motion.poses(), (effect,), self.context.sensors)
         values, sway = motion_simulation.effective_commands_and_sway(*run, self.hand)
         return (self.joints @ (values - self.q)[..., None])[..., 0] + self.measured(sway)
 

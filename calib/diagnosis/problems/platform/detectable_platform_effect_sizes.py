@@ -21,7 +21,6 @@ from calib.diagnosis.problems.detectable_effect_sizes import (
     mean_square,
     sampled_nodes,
     smallest_of_each_place,
-    visible_gram,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, Reach
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
@@ -70,7 +69,7 @@ class _Looks:
         normal = self._normal(candidate, nodes)
         looks = [
             NodeLook(node, gram, float(rank), *self._moved(candidate, node), not candidate.spec.linear)
-            for node, gram, rank in zip(nodes, visible_gram(normal), solve_normal_equations(normal).rank)
+            for node, gram, rank in zip(nodes, normal.G, solve_normal_equations(normal).rank)
         ]
         return detectable_size(
             candidate, lambda _: candidate.spec, looks, lambda node: self._dispersion(candidate, node), self.threshold

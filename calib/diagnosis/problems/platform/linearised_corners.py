@@ -316,8 +316,7 @@ def repeated_corner_error(point: OperatingPoint) -> float:
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does
     not pass for it. See vision.bundle.robust_adjustment.repeated_corner_covariance_and_systematic_error, which asks
-    the same of
-    their mean square
+    the same of their mean square
     """
     k = point
     if k.seen is None:

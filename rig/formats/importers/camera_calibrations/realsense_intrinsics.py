@@ -135,7 +135,7 @@ def _opencv_lens(terms: Floats, model: str, matrix: Floats, size: tuple[int, int
     u, v = np.meshgrid(*(np.linspace(0, length - 1, EDGE) for length in size))
     focal = np.array([matrix[0, 0], matrix[1, 1]])
     seen = (np.stack([u.ravel(), v.ravel()], axis=1) - matrix[:2, 2]) / focal
-    ideal = _applied(terms, seen) if model == "inverse" else _undone(terms, seen)
+    ideal = _opencv_distorted(terms, seen) if model == "inverse" else _undone(terms, seen)
 
     def off(lens: Floats) -> Floats:
         return np.asarray((_opencv_distorted(lens, ideal) - seen) * focal)
@@ -146,10 +146,10 @@ def _opencv_lens(terms: Floats, model: str, matrix: Floats, size: tuple[int, int
 
 
 def _opencv_distorted(lens: Floats, points: Floats) -> Floats:
-    """Points (n, 2) distorted by OpenCV's lens (12,): rational, tangential and thin prism terms."""
+    """Points (n, 2) distorted by OpenCV's lens, (12,) or its first (5,) terms: rational, tangential and thin prism."""
     x, y = points.T
     s = x**2 + y**2
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = lens
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(lens, (0, 12 - len(lens)))
     f = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
     return np.stack(
         [
@@ -160,22 +160,11 @@ def _opencv_distorted(lens: Floats, points: Floats) -> Floats:
     )
 
 
-def _applied(terms: Floats, points: Floats) -> Floats:
-    """Points (n, 2) moved by Brown and Conrady's formula."""
-    k1, k2, p1, p2, k3 = terms
-    x, y = points.T
-    s = x**2 + y**2
-    f = 1 + s * (k1 + s * (k2 + s * k3))
-    return np.stack(
-        [x * f + 2 * p1 * x * y + p2 * (s + 2 * x**2), y * f + 2 * p2 * x * y + p1 * (s + 2 * y**2)], axis=1
-    )
-
-
 def _undone(terms: Floats, seen: Floats) -> Floats:
     """Points (n, 2) that modified Brown-Conrady takes to those seen: the tangential part at radially distorted ones."""
     k1, k2, _, _, k3 = terms
     turned, radial = terms * [0, 0, 1, 1, 0], np.array([k1, k2, 0.0, 0.0, k3])
     out = seen.copy()
     for _ in range(STEPS):
-        out = out + seen - _applied(turned, _applied(radial, out))
+        out = out + seen - _opencv_distorted(turned, _opencv_distorted(radial, out))
     return out

@@ -10,6 +10,7 @@ from calib.api.arm_kinematics import ArmKinematics
 from calib.models.arm.error_model_and_observations import arm_with_parameter_step, parameter_jacobian, parameter_names
 from rig.errors import FileError, RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Coupling
+from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import arm as serial
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import evenly_spread_configurations
@@ -75,6 +76,8 @@ def test_leaders_bear_their_followers_weight():
 def test_inverse_and_plans_have_followers_where_leaders_have_them():
     q = evenly_spread_configurations(ARM, 20, 0.8)
     np.testing.assert_array_equal(q, ARM.with_followers(q))
+    on_another = evenly_spread_configurations(Chain((UR10, ARM)), 20, 0.8)[:, 6:]
+    np.testing.assert_array_equal(on_another, ARM.with_followers(on_another))
     found, left = serial.solve_arm_inverse_by_damped_least_squares(serial.forward(q, ARM), ARM, q + 0.05, starts=0)
     np.testing.assert_allclose(found, q, atol=1e-7)
     assert left.max() < 1e-10

@@ -1,0 +1,23 @@
+"""TCP socket to a controller, by its URL. It imports nothing that takes time."""
+
+import socket
+from urllib.parse import urlsplit
+
+from rig.errors import LinkLost
+from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS
+
+
+def connected_tcp_socket(url: str, patience: float) -> socket.socket:
+    """Socket connected to SCHEME://HOST or SCHEME://HOST:PORT, which delays nothing that is sent.
+
+    patience : s to connect, and its timeout from then on. Raises LinkLost where nothing listens
+    """
+    parts = urlsplit(url)
+    try:
+        found = socket.create_connection(
+            (parts.hostname or "127.0.0.1", parts.port or USUAL_PORTS[parts.scheme]), patience
+        )
+    except OSError as error:
+        raise LinkLost(f"cannot open {url}: {error.strerror or error}") from None
+    found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return found
