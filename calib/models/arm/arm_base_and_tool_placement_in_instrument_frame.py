@@ -63,8 +63,8 @@ def place_base_and_tool_of_arm(
 ) -> Arm:
     """Arm with its base and tool solved for, each where it is unknown, from observations.
 
-    Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in
-    closed form is as stated, and so is where on the hand a direction is seen.
+    Good to what the arm's own errors leave; least squares goes on from there. What the observations do not determine
+    stays as stated: the base's rotation with distances, where on the hand a direction is seen.
 
     Raises NotEnoughData for too few observations, RigError where no placement fits or two
     different ones fit alike
@@ -83,8 +83,7 @@ def place_base_and_tool_of_arm(
             f"it takes {LEAST[observations.kind]}"
         )
     if observations.kind == "distance":
-        links = mechanism.forward(observations.q, arm.with_ends(base=RigidTransform.identity()))
-        return _from_distances(observations.value, links, arm) if is_base_unknown else arm
+        return _from_distances(observations, arm, is_base_unknown, is_tool_unknown)
     if observations.kind == "orientation":
         return _from_orientations(observations, arm, is_base_unknown, is_tool_unknown)
     if observations.kind == "direction":
@@ -201,7 +200,7 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the
     maker's rows (n, 5).
     """
-    posed = observations.kind == "pose"
+    posed, sigma = observations.kind == "pose", _sigma(observations)
     count, tool = len(error_model_and_observations.parameter_names(arm)), tool_parameter_slice(arm)
     free, prior = np.zeros(count, bool), np.zeros(count)
     free[:6], free[tool] = unknown
@@ -210,19 +209,17 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     prior[:6], prior[tool] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
     start = arm
-    at = _Misfit.of(observations, arm, start, rows, prior, posed)
+    at = _Misfit.of(observations, arm, start, rows, prior)
     damping = 1e-4
     for _ in range(steps):
-        J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / _sigma(posed)[:, None]).reshape(
-            -1, free.sum()
-        )
+        J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / sigma[:, None]).reshape(-1, free.sum())
         H = J.T @ J + np.diag(prior[free] ** 2)
         g = J.T @ (at.residual * at.weight[:, None]).ravel() - (prior * at.moved)[free]
         step = np.zeros(len(free))
         while damping < 1e8:
             step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
             trial = error_model_and_observations.arm_with_parameter_step(arm, step)
-            new = _Misfit.of(observations, trial, start, rows, prior, posed)
+            new = _Misfit.of(observations, trial, start, rows, prior)
             if new.cost(at.scale) <= at.cost(at.scale):
                 break
             damping *= 8
@@ -235,8 +232,9 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     return Placement(arm, float(np.median(np.linalg.norm(left, axis=1))))
 
 
-def _sigma(posed: bool) -> Floats:
-    return np.repeat(FINE, 3)[: 6 if posed else 3]
+def _sigma(observations: Observations) -> Floats:
+    """(k,) m and rad of FINE, of the rows of an observation."""
+    return np.repeat(FINE, 3)[: observations.covariance.shape[1]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,10 +249,8 @@ class _Misfit:
     weight: Floats
 
     @classmethod
-    def of(
-        cls, observations: Observations, arm: Arm, start: Arm, rows: Floats, prior: Floats, posed: bool
-    ) -> "_Misfit":
-        r = observations.residuals(arm) / _sigma(posed)
+    def of(cls, observations: Observations, arm: Arm, start: Arm, rows: Floats, prior: Floats) -> "_Misfit":
+        r = observations.residuals(arm) / _sigma(observations)
         size = np.linalg.norm(r, axis=1)
         scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
         moved = np.zeros(len(prior))
@@ -364,15 +360,36 @@ def solve_robot_world_hand_eye_rotations(M: Floats, F: Floats) -> tuple[Floats, 
     )
 
 
-def _from_distances(lengths: Floats, target: RigidTransform, arm: Arm) -> Arm:
-    """length^2 = |p|^2 - 2 p.w + |w|^2 is linear in the anchor w and its square; the base's rotation cannot be told and
-    stays.
+def _from_distances(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
+    """length = |F z + f - w|, squared, is linear in the anchor w, the target z on the hand, w z' and |z|^2 + |w|^2; its
+    least squares is refined with the joints' zeros. The base's rotation cannot be determined and stays as stated.
+
+    Raises RigError where no such placement fits
     """
-    p = target.translation
-    A = np.concatenate([-2 * p, np.ones((len(p), 1))], axis=1)
-    w = np.linalg.lstsq(A, lengths**2 - (p**2).sum(axis=1))[0][:3]
-    R = arm.base.rotation.as_matrix()
-    return replace(arm, base=rigid_transform(R, -R @ w))
+    links = mechanism.forward(observations.q, arm.with_ends(RigidTransform.identity(), RigidTransform.identity()))
+    F, f = links.rotation.as_matrix(), links.translation
+    R, z = arm.base.rotation.as_matrix(), arm.tool.translation
+    w = -R.T @ arm.base.translation
+    f = f + (0 if tool else F @ z) - (0 if base else w)
+    columns = [2 * np.einsum("mij,mi->mj", F, f)] if tool else []
+    columns += [-2 * f] if base else []
+    columns += [-2 * F.reshape(len(F), 9)] if base and tool else []
+    A = np.concatenate([*columns, np.ones((len(f), 1))], axis=1)
+    sizes = np.repeat([REACH, AWAY, REACH * AWAY, AWAY**2], [3 * tool, 3 * base, 9 * (base and tool), 1])
+    error = 2 * COARSE[0] * np.median(observations.value)  # of a squared length
+    right = np.asarray(observations.value) ** 2 - (f**2).sum(axis=1)
+    solution = np.linalg.solve(A.T @ A + np.diag((error / sizes) ** 2), A.T @ right)
+    z = solution[:3] if tool else z
+    w = solution[3 * tool : 3 * tool + 3] if base else w
+    start = arm.with_ends(rigid_transform(R, -R @ w), rigid_transform(arm.tool.rotation.as_matrix(), z))
+    found = _refined(_spread(observations, LOOKED_AT), start, arm.rows, (base, tool), STEPS)
+    if not found.left < FITS:
+        raise RigError(
+            f"no place of {_unknown(base, tool)} fits: the wire's lengths still miss by {found.left * 1e3:.0f} mm "
+            "(median). Are these the joint angles of these lengths, in this order, with these signs and zeros, and are "
+            "[mechanism] joints the maker's figures, in metres and radians?"
+        )
+    return found.arm
 
 
 def nearest_rotation(matrix: Floats) -> Floats:
