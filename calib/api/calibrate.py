@@ -291,7 +291,7 @@ def _calibrated(
     if findings is None and (options.with_findings or pointing and not options.quick):
         instrument_fit = fit_of_effects_shown_by_instruments(recording, sampled)
         searched = sampled if instrument_fit is None else replace(sampled, samples=instrument_fit.samples)
-        requested = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()))
+        requested = DiagnosisOptions(sampled=searched, kinds=tuple(kinds.values()), detectable_sizes=False)
         findings = findings_of_diagnosis(diagnose(recording, requested, progress))
     findings = findings_with_missing_instrument_effects_added(findings, recording, sampled)
     known = None

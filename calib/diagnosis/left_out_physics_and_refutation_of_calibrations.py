@@ -72,7 +72,8 @@ def calibration_with_left_out_physics(
     if calibration.claim is None or calibration.claim.after is None:
         return calibration
     try:
-        report = diagnosis_report(diagnose(recording, DiagnosisOptions(sampled=sampled), progress))
+        options = DiagnosisOptions(sampled=sampled, detectable_sizes=False)
+        report = diagnosis_report(diagnose(recording, options, progress))
     except NotEnoughData as error:
         return _with(calibration, (f"the search for unmodelled effects failed: {error}",))
     return _add_left_out_physics(calibration, report, sampled.samples)

@@ -66,7 +66,8 @@ class DiagnosisOptions:
     calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
     shows, and what has changed since; sampled : Sampled of the recording where it was measured before, or None
     kinds : the catalogue, with what a user adds to it; own : the files that this comes from; operator_statements : the
-    operator's words, as options"""
+    operator's words, as options
+    detectable_sizes : whether it is determined from which size on each effect would have been found"""
 
     only: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
@@ -76,6 +77,7 @@ class DiagnosisOptions:
     kinds: tuple[type[Effect], ...] = ALL
     own: tuple[Plugin, ...] = ()
     operator_statements: tuple[str, ...] = ()
+    detectable_sizes: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -169,7 +171,7 @@ def diagnose(
         recording, requested, options.given, options.calibration, options.sampled, progress
     )
     return replace(
-        diagnose_evidence(evidence, recording.name, progress),
+        diagnose_evidence(evidence, recording.name, progress, options.detectable_sizes),
         options=options,
         origin=recording.origin,
         parts=recording.parts,
@@ -190,10 +192,12 @@ def _measured_evidence(recording: Recording) -> Callable[..., Evidence[Any, Any]
     return platform_evidence
 
 
-def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress | None = None) -> Diagnosis:
+def diagnose_evidence(
+    evidence: Evidence[Fit, C], name: str, progress: Progress | None = None, detectable_sizes: bool = True
+) -> Diagnosis:
     """Diagnosis of Evidence.
 
-    name : of the recording
+    name : of the recording; detectable_sizes : whether they are determined
     """
     explained, outliers = _explained_without_outliers(evidence, progress)
     if isinstance(evidence, NoiseEstimation):
@@ -233,7 +237,9 @@ def diagnose_evidence(evidence: Evidence[Fit, C], name: str, progress: Progress 
         covariates=covariates,
         suggestions=suggestions,
         outliers=outliers,
-        detectable=evidence.detectable_sizes(selection) if isinstance(evidence, EffectDetection) else [],
+        detectable=evidence.detectable_sizes(selection)
+        if detectable_sizes and isinstance(evidence, EffectDetection)
+        else [],
     )
 
 
