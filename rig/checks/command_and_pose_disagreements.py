@@ -38,6 +38,7 @@ SHIFTED, CLOCK = "the frames are shifted by", "the frames' clock"
 SHIFTS = (-3, -2, -1, 1, 2, 3)
 LAG = 0.5  # s; clocks that differ by less are an effect, not a mistake
 STEPS = 1500  # clock offsets tried
+ALIKE_CLOCKS = 1.02  # of the least miss; offsets that leave less cannot be told from the best
 QUARTER = 1800.0  # s; time zones
 
 
@@ -299,10 +300,13 @@ def _clocks(moves: CommandsAndPoses) -> Iterator[Candidate]:
         return replace(moves, q=moves.at(t + by)).miss()
 
     t, coarse = moves.times[moves.index], np.linspace(-span / 2, span / 2, STEPS)
-    best = min(coarse, key=miss)
-    fine = best + np.linspace(-2, 2, 401) * (coarse[1] - coarse[0])
+    left = np.array([miss(by) for by in coarse])
+    k, apart = int(left.argmin()), np.flatnonzero(left > ALIKE_CLOCKS * left.min())  # within a dwell all are alike
+    first, last = apart[apart < k].max(initial=0), apart[apart > k].min(initial=len(coarse) - 1)
+    fine = np.linspace(coarse[max(first - 1, 0)], coarse[min(last + 1, len(coarse) - 1)], 401)
     left = np.array([miss(by) for by in fine])
-    best = float(fine[left <= 1.02 * left.min()].mean())  # within a dwell all are alike
+    alike = fine[left <= ALIKE_CLOCKS * left.min()]
+    best, room = float(alike[0] + alike[-1]) / 2, float(alike[-1] - alike[0]) / 2
     if abs(best) > LAG:
         quarters = abs(best) / QUARTER
         zone = (
@@ -311,7 +315,8 @@ def _clocks(moves: CommandsAndPoses) -> Iterator[Candidate]:
             else ""
         )
         yield (
-            f"frames.csv: {CLOCK} is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands'{zone}",
+            f"frames.csv: {CLOCK} is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands' "
+            f"(+-{room:.2g} s){zone}",
             f"{'Add' if best > 0 else 'Subtract'} {abs(best):.4g} s to t of frames.csv, or log both by one clock",
             replace(moves, q=moves.at(t + best)),
         )

@@ -16,7 +16,7 @@ from rig.effects.catalogue.print_scale import PrintScale
 from rig.effects.catalogue.time_offset import TimeOffset
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Commands
-from tests.calib.checks.cases import Case
+from tests.calib.checks.cases import Case, time
 from tests.calib.checks.good import make, recorded
 from tests.calib.checks.matrix import CASES
 from tests.conftest import BENCH
@@ -75,6 +75,21 @@ def first_line(case: Case, good, number: int, folder: Path) -> str:
 @pytest.mark.parametrize("case", [case for case in CASES if case.name in QUICK], ids=lambda case: case.name)
 def test_a_mistake_is_named_first(case, good, tmp_path):
     assert re.search(case.says, first_line(case, good, 0, tmp_path / "rec"))
+
+
+@pytest.mark.parametrize("late", [2.5, -3.0])
+def test_a_clocks_shift_is_stated_with_the_range_that_serves_as_well(late, good, tmp_path):
+    """Frames within dwells leave a range of shifts; the true one lies in it."""
+    case = Case(
+        "late",
+        "corners",
+        time("frames.csv", 1, late),
+        r"clock is ([\d.]+) s (behind|ahead of) the commands' \(\+-([\d.]+) s\)",
+    )
+    found = re.search(case.says, line := first_line(case, good, 0, tmp_path / "rec"))
+    assert found, line
+    size, room = float(found[1]), float(found[3])
+    assert (found[2] == "ahead of") == (late > 0) and 0.5 < room < 2 and abs(size - abs(late)) <= room
 
 
 @pytest.mark.slow
