@@ -62,6 +62,7 @@ from vision.reading.marker_identity_mistakes_and_expected_marker_places import S
 from vision.recording_adjustment import Measurement, has_hand_cameras, invert_measured_poses, recording_seen_from_hand
 from vision.recording_measurement import PLACES, measure_recording, recording_with_unstated_markers_placed
 
+SEEN = 0.1  # of the noise of corners, from which errors that come back in every frame are stated
 ZOOMED = 2.0  # standard uncertainties of a stated focal length, from which its adjustment is an alarm
 SOLVED = 0.5  # of the frames, below which a measurement is bad
 TWICE = 2.0  # of the squares that the covariance predicts, from which it is not reliable
@@ -225,6 +226,19 @@ def too_large_focal_length_adjustment_sentences(stated: Sequence[Camera], adjust
     return out
 
 
+def common_image_error_sentences(measured: Measurement) -> list[str]:
+    """Sentences on the cameras whose corners lie off alike at the same place of the image in every frame.
+
+    One for each such camera.
+    """
+    return [
+        f"corners in camera {camera.name!r} lie off by {size:.2g} px (RMS) at the same places of its image in every "
+        "frame: its lens is not as adjusted; the uncertainties allow for it, rig diagnose looks for its cause"
+        for camera, size in zip(measured.design.cameras, measured.adjustment.common_image_errors)
+        if size > SEEN * measured.noise
+    ]
+
+
 def measurement_verdict(result: MeasurementResult) -> Verdict:
     """The verdict on a measurement."""
     m, total, (position, rotation) = result.measurement, result.frame_count, result.uncertainty
@@ -243,6 +257,7 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
         MissingEvidence(text)
         for text in too_large_focal_length_adjustment_sentences(result.recording.design.cameras, m.design.cameras)
     ]
+    missing += [MissingEvidence(text) for text in common_image_error_sentences(m)]
     if isinstance(result.held, NotHeldOut):
         missing.append(MissingEvidence("no frame could be held out to check the uncertainties"))
     elif abs(result.held.ratio - 1) > 2 * result.held.scatter:
@@ -324,7 +339,7 @@ def measure(
         options.places,
         make_corner_check_raising_on_severe_mistakes(recording, options.anyway, notice),
     )
-    held = crossvalidate_adjustment(measured.used(), measured.adjustment)
+    held = crossvalidate_adjustment(measured.used(), measured.adjustment, measured.own_errors())
     determination = determinacy_of_adjusted_unknowns(measured.adjustment)
     stated = measured.adjustment.stated.placed.stated[measured.adjustment.unknowns.seen].any()
     moved = (

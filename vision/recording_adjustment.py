@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -23,9 +24,9 @@ from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 from vision.bundle.adjustment_covariance_of_correlated_corner_errors import with_covariance_of_unlike_errors
-from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
+from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
-from vision.bundle.robust_adjustment import adjust_robustly, repeated_corner_covariance_and_systematic_error
+from vision.bundle.robust_adjustment import adjust_robustly, adjust_with_systematic_errors_weighed
 from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import (
@@ -113,6 +114,13 @@ class Measurement(OneLineRepr):
         retained = replace(observations_of_frames(self.observations, solved), covariance=self.weights)
         return retained.take(self.inliers[np.isin(self.observations.frame, solved)])
 
+    def own_errors(self) -> Booleans:
+        """(n,) of those observations, whether a corner's covariance is that of its own errors alone."""
+        solved = np.searchsorted(self.observations.frames, self.frames)
+        retained = observations_of_frames(self.observations, solved)
+        inliers = self.inliers[np.isin(self.observations.frame, solved)]
+        return cast(Booleans, (self.weights == retained.covariance).all(axis=(1, 2))[inliers])
+
     def ids(self) -> list[int]:
         """Identity of each row of the marker map."""
         return [number for target in self.design.targets for number in target.ids]
@@ -183,13 +191,10 @@ def measure_observations(
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed
     fit = fit if places else adjust_with_estimated_printing_errors(observations, fit, tuple(free))
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
-    observations = replace(observations, covariance=fit.covariance)
-    retained, good = observations_of_frames(observations, solved), fit.inliers[keep]
-    weights, standing = repeated_corner_covariance_and_systematic_error(retained, good, fit.adjustment.state)
-    weighed = replace(retained, covariance=weights).take(good)
-    result = adjust_bundle(weighed, fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
-    own = (weights == retained.covariance).all(axis=(1, 2))[good]
-    result = with_covariance_of_unlike_errors(weighed, result, own)
+    weighed = adjust_with_systematic_errors_weighed(observations, fit, free, stated)
+    observations = replace(observations, covariance=weighed.variance * fit.covariance)
+    retained = observations_of_frames(observations, solved)
+    result = with_covariance_of_unlike_errors(weighed.used, weighed.adjustment, weighed.own)
     numbers, covariance = observations.frames[solved], result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
@@ -206,9 +211,9 @@ def measure_observations(
         fit.inliers,
         residuals,
         float(noise),
-        standing,
-        weights,
-        fit.scale**2,
+        weighed.systematic_error,
+        weighed.weights,
+        weighed.variance * fit.scale**2,
         result,
     )
 

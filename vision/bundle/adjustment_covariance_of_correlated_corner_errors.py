@@ -1,16 +1,25 @@
 """Covariance of an adjustment whose corner errors are correlated within an image, or larger in some places.
 
 The optimum stays where equal and independent errors put it; its covariance is White's, of the errors that its residuals
-show (see `pose_covariance_of_correlated_corner_errors`).
+show (see `pose_covariance_of_correlated_corner_errors`). Where corners err alike at the same place of a camera's image
+in every frame, as under a lens that is not as it was adjusted, no number of frames averages that: cameras and poses
+follow it, and what they cannot follow stays in the residuals. From there the errors are estimated, along polynomials of
+the place, each camera's of the likeliest size (Patterson and Thompson, Biometrika 58, 1971, 545-554); what they move
+poses by is part of what all frames share.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import POSE_SCALE, Unknowns
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
+    POSE_SCALE,
+    Unknowns,
+    offset_from_stated,
+)
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
@@ -24,6 +33,10 @@ from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     smooth_image_error_model_of_corners,
 )
 from vision.corner_observations import Observations, whitener_of_observations
+
+PROOF = 30.0  # twice the logarithm of the likelihood by which errors common to all frames must be likelier than none
+WEAK = 1e-2  # of the greatest information; combinations that adjusting takes up nearly whole say too little of errors
+SIZES, START = (1e-4, 3.0), 0.03  # px, of a camera's errors; and where their search begins
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +59,28 @@ class _CornerRows:
         for f, (a, b) in enumerate(zip(self.edges[:-1], self.edges[1:])):
             out[2 * a : 2 * b] = self.own[a:b].reshape(2 * (b - a), -1) @ self.root[f].T
         return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Corners:
+    """n corners of an adjustment, frame by frame and camera by camera.
+
+    rows : _CornerRows; basis : (2n, l) as they have it; shared_rows : of each frame, ((2m, s) whitened derivatives to
+    what frames share, the frame's own unknowns taken out, the slice of its corners)
+    camera : (n,) index; residual : (2n,) whitened; own : (n,) whether a corner's covariance is that of its own errors
+    pixels : (n, 2, K) px of errors along the place in the image; columns : the same whitened
+    pull : (s,) of what is stated of the shared unknowns, on their gradient
+    """
+
+    rows: _CornerRows
+    basis: Floats
+    shared_rows: list[tuple[Floats, slice]]
+    camera: Integers
+    residual: Floats
+    own: Booleans
+    pixels: Floats
+    columns: Floats
+    pull: Floats
 
 
 def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adjustment, own: Booleans) -> Adjustment:
@@ -72,28 +107,44 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
     )
     taken = np.sqrt((2 * len(observations) - u.used.sum()) / adjustment.dof)  # of the residuals by what frames share
     sizes = own_and_smooth_corner_error_variances(errors, taken * residual[rows.order].ravel(), rows.edges)
+    # corners whose covariance is not their own see the same air; places as predicted, which corners' own errors do not
+    # move: these would show themselves along any columns that spread
+    predicted = replace(observations, uv=observations.uv - adjustment.residuals)
+    pixels = places_and_smooth_columns(predicted, cameras, rows.order)[1]
+    columns = whiten(pixels)
+    shared_rows = list(_shared_rows_without_own(observations, derivatives, rows, basis, u))
+    corners = _Corners(
+        rows,
+        basis,
+        shared_rows,
+        observations.camera[rows.order],
+        residual[rows.order].ravel(),
+        own[rows.order],
+        pixels,
+        columns,
+        u.prior * offset_from_stated(estimate, adjustment.stated, u),
+    )
     if sizes is None:
-        return adjustment
+        return _with_common_image_errors(adjustment, adjustment, corners, u.scale)
     white, smooth = np.where(own[rows.order], sizes[0], 1.0), sizes[1]
     spread = pose_covariance_from_corner_error_variances(errors, white, smooth, basis, rows.edges)
     given = (np.swapaxes(rows.root, 1, 2) @ spread @ rows.root)[:, :6, :6] * POSE_SCALE**2
     factor = adjustment.shared_factor / u.scale[:, None]
-    # corners whose covariance is not their own see the same air
-    columns = whiten(places_and_smooth_columns(observations, cameras, rows.order)[1]).reshape(len(basis), -1)
     scatter = np.diag(u.prior)
-    for rest, at in _shared_rows_without_own(observations, derivatives, rows, basis, u):
+    for rest, at in shared_rows:
         scatter += rest.T @ (np.repeat(white[at], 2)[:, None] * rest)
-        for image in np.unique(observations.camera[rows.order[at]]):
-            some = np.repeat(observations.camera[rows.order[at]] == image, 2)
-            along = rest[some].T @ columns[2 * at.start : 2 * at.stop][some]
+        for image in np.unique(corners.camera[at]):
+            some = corners.camera[at] == image
+            along = rest[np.repeat(some, 2)].T @ columns[at][some].reshape(2 * some.sum(), -1)
             scatter += along @ smooth @ along.T
     turn = np.linalg.cholesky(factor.T @ scatter @ factor)
-    return replace(
+    widened = replace(
         adjustment,
         platform_given_cameras=given,
         platform_common=adjustment.platform_common @ turn,
         shared_factor=adjustment.shared_factor @ turn,
     )
+    return _with_common_image_errors(widened, adjustment, corners, u.scale)
 
 
 def _rows(observations: Observations, derivatives: dict[int, Derivatives], u: Unknowns) -> _CornerRows:
@@ -124,3 +175,91 @@ def _shared_rows_without_own(
             ]
         rest, own = out.reshape(2 * (b - a), -1), basis[2 * a : 2 * b]
         yield rest - own @ (own.T @ rest), slice(a, b)
+
+
+def _with_common_image_errors(
+    adjustment: Adjustment, plain: Adjustment, corners: _Corners, scale: Floats
+) -> Adjustment:
+    """The Adjustment with what errors common to all frames add to its covariance; as it was where corners show none.
+
+    plain : Adjustment by equal and independent errors; scale : (s,) of the shared unknowns
+    """
+    cameras, width = len(adjustment.state.cameras), corners.columns.shape[2]
+    basis, count, shared = corners.basis, cameras * width, len(scale)
+    factor = plain.shared_factor / scale[:, None]
+    even = np.array([_unit_mean_square(corners.pixels[corners.camera == i]) for i in range(cameras)])
+    columns = corners.columns @ even[corners.camera]
+    onto, information = np.zeros((shared, count)), np.zeros((count, count))
+    of_repeats = np.zeros((count + shared, count + shared))
+    scores, repeats, moved = [], np.zeros(count + shared), []
+    for f, (rest, at) in enumerate(corners.shared_rows):
+        rows = slice(2 * at.start, 2 * at.stop)
+        B = np.zeros((rest.shape[0] // 2, 2, cameras, width))
+        B[np.arange(len(B)), :, corners.camera[at]] = columns[at]
+        B = B.reshape(-1, count)
+        along = basis[rows].T @ B
+        moved.append(POSE_SCALE * (corners.rows.root[f].T @ along)[:6])
+        both = np.concatenate([B - basis[rows] @ along, rest], axis=1)
+        onto += rest.T @ both[:, :count]
+        information += both[:, :count].T @ both[:, :count]
+        single = np.repeat(corners.own[at], 2)
+        scores.append(both[single].T @ corners.residual[rows][single])
+        repeats += both[~single].T @ corners.residual[rows][~single]
+        of_repeats += both[~single].T @ both[~single]
+    follow = factor @ (factor.T @ onto)  # of the shared unknowns, per px
+    reduce = np.concatenate([np.eye(count), -follow])
+    information -= onto.T @ follow
+    size, turn = np.linalg.eigh(information)
+    turn, size = turn[:, size > WEAK * size[-1]], size[size > WEAK * size[-1]]
+    to_unit = reduce @ turn / np.sqrt(size)
+    by_frame = np.array(scores) @ to_unit
+    # what stated figures pull is no corner's error
+    seen = by_frame.sum(axis=0) + (repeats - np.r_[np.zeros(count), corners.pull]) @ to_unit
+    apart = by_frame - by_frame.mean(axis=0)
+    spread, axes = np.linalg.eigh(apart.T @ apart + to_unit.T @ of_repeats @ to_unit)
+    noise = (axes * np.maximum(spread, 1.0)) @ axes.T  # frames scatter by no less than equal errors make them
+    found = _common_errors(np.sqrt(size)[:, None] * turn.T, seen, noise, cameras)
+    if found is None:
+        return adjustment
+    mean, posterior = found
+    draws = np.linalg.cholesky(np.outer(mean, mean) + posterior)
+    poses = np.array(moved) + plain.platform_common @ (factor.T @ onto)
+    return replace(
+        adjustment,
+        platform_common=np.concatenate([adjustment.platform_common, poses @ draws], axis=2),
+        shared_factor=np.concatenate([adjustment.shared_factor, scale[:, None] * follow @ draws], axis=1),
+        common_image_errors=_sizes_by_camera(corners, (even @ mean.reshape(cameras, width, 1))[..., 0]),
+    )
+
+
+def _unit_mean_square(pixels: Floats) -> Floats:
+    """(K, K) by which columns (n, 2, K) px become such that are orthogonal over the corners, of 1 px RMS each."""
+    n, width = len(pixels), pixels.shape[2]
+    if n < width:  # too few corners to tell columns apart, which then stay as they are
+        return np.eye(width)
+    flat = pixels.reshape(2 * n, width)
+    return np.linalg.inv(np.linalg.cholesky(flat.T @ flat / n)).T
+
+
+def _common_errors(model: Floats, seen: Floats, noise: Floats, cameras: int) -> tuple[Floats, Floats] | None:
+    """(mean (w,), covariance (w, w) px of errors along the columns, given what is seen (r,) = model (r, w) errors with
+    a noise (r, r)), each camera's of a size of its own, the likeliest; None where none are likely."""
+    by_camera = model.reshape(len(seen), cameras, -1)
+    each = np.einsum("rck,sck->crs", by_camera, by_camera)
+
+    def cost(log_sizes: Floats) -> float:
+        root = np.linalg.cholesky(noise + np.einsum("c,crs->rs", np.exp(2 * log_sizes), each))
+        return float(2 * np.log(np.diag(root)).sum() + (np.linalg.solve(root, seen) ** 2).sum())
+
+    found = minimize(cost, np.full(cameras, np.log(START)), method="L-BFGS-B", bounds=[np.log(SIZES)] * cameras)
+    if cost(np.full(cameras, -np.inf)) - found.fun < PROOF:
+        return None
+    prior = np.repeat(np.exp(2 * found.x), by_camera.shape[2])
+    gain = prior[:, None] * model.T @ np.linalg.inv(noise + (model * prior) @ model.T)
+    return gain @ seen, np.diag(prior) - gain @ (model * prior)
+
+
+def _sizes_by_camera(corners: _Corners, errors: Floats) -> tuple[float, ...]:
+    """Px RMS of each camera's errors (C, K) over its corners."""
+    pixels = [corners.pixels[corners.camera == i] @ one for i, one in enumerate(errors)]
+    return tuple(float(np.sqrt(np.mean(px**2))) if px.size else 0.0 for px in pixels)

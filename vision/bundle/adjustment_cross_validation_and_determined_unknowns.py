@@ -5,12 +5,13 @@ By held-out frames; determinacy says which unknowns the recording determines.
 
 import re
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from rig.array_and_json_types import Floats
+from rig.array_and_json_types import Booleans, Floats
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
+    Estimate,
     Unknowns,
     datum_marker_rows,
     offset_from_stated,
@@ -59,13 +60,45 @@ class NotHeldOut:
         return False
 
 
+class _Stretch(NamedTuple):
+    """Normal equations of a stretch of frames, whitened, the frames' own unknowns taken out.
+
+    reduced : (s, s), right : (s,) of what all frames share; left : squares that the frames' own unknowns leave; dof :
+    degrees of freedom; corners : how many
+    """
+
+    reduced: Floats
+    right: Floats
+    left: float
+    dof: int
+    corners: int
+
+
+def _stretch(observations: Observations, estimate: Estimate, u: Unknowns) -> _Stretch:
+    residual, derivatives = whitened_residuals_and_derivatives(
+        observations, estimate, u, whitener_of_observations(observations)
+    )
+    blocks = normal_equations(observations, derivatives, u, np.zeros(u.shared))
+    _, reduced, right = schur_complement(blocks)
+    own = float(np.einsum("fl,fl->", blocks.own, np.linalg.solve(blocks.local, blocks.own[..., None])[..., 0]))
+    return _Stretch(
+        reduced - np.diag(u.prior),
+        right,
+        float((residual**2).sum()) - own,
+        2 * len(observations) - int(u.used.sum()),
+        len(observations),
+    )
+
+
 def crossvalidate_adjustment(
-    observations: Observations, adjustment: Adjustment, folds: int = FOLDS
+    observations: Observations, adjustment: Adjustment, own: Booleans | None = None, folds: int = FOLDS
 ) -> HeldOut | NotHeldOut:
     """Cross-validation of an adjustment.
 
     HeldOut residuals over folds of frames, or NotHeldOut with a reason.
-    observations : Observations that were adjusted; adjustment : their Adjustment
+    observations : Observations that were adjusted; adjustment : their Adjustment; own : (n,) whether a corner's
+        covariance is that of its own errors alone, None where all are such. The others, weighed so that all repeats
+        together count as one, help to predict; what is left of them says nothing of any covariance
     Linear about the optimum: leaving a stretch out takes its share from the reduced normal equations, so nothing is
     adjusted anew. A frame's own poses are fitted to it, as they must be; what is tested is what frames share. A stretch
     without which something shared would be open (a camera seen only there, say) is not asked for.
@@ -78,50 +111,40 @@ def crossvalidate_adjustment(
     )
     away = offset_from_stated(estimate, stated, u)
     stretch = np.minimum(np.arange(len(observations.frames)) * folds // len(observations.frames), folds - 1)
+    tested = observations if own is None or own.all() else observations.take(own)
     parts = []
     for fold in np.unique(stretch):
         frames = np.flatnonzero(stretch == fold)
-        part, own_u = observations_of_frames(observations, frames), replace(u, used=u.used[frames])
-        residual, derivatives = whitened_residuals_and_derivatives(
-            part, replace(estimate, state=estimate.state.at(frames)), own_u, whitener_of_observations(part)
-        )
-        blocks = normal_equations(part, derivatives, own_u, np.zeros(u.shared))
-        gain, reduced, right = schur_complement(blocks)
-        own = float(np.einsum("fl,fl->", blocks.own, np.linalg.solve(blocks.local, blocks.own[..., None])[..., 0]))
-        parts.append(
-            (
-                reduced - np.diag(u.prior),
-                right,
-                float((residual**2).sum()) - own,
-                2 * len(part) - int(own_u.used.sum()),
-                len(part),
-            )
-        )
+        own_u, there = replace(u, used=u.used[frames]), replace(estimate, state=estimate.state.at(frames))
+        whole = part = _stretch(observations_of_frames(observations, frames), there, own_u)
+        if tested is not observations:
+            part = _stretch(observations_of_frames(tested, frames), there, own_u)
+        parts.append((whole, part))
     prior, pull = np.diag(u.prior), -u.prior * away
-    total, drawn = sum(p[0] for p in parts) + prior, sum(p[1] for p in parts) + pull
-    chi2 = expected = square = 0.0
+    total, drawn = sum(p.reduced for p, _ in parts) + prior, sum(p.right for p, _ in parts) + pull
+    chi2, expected, square = 0.0, 0, 0.0
     ratios = []
     root = np.linalg.inv(np.linalg.cholesky(u.basis.T @ total @ u.basis))
     retained = [
-        part
-        for part in parts
-        if not len(root) or np.linalg.eigvalsh(root @ u.basis.T @ (total - part[0]) @ u.basis @ root.T)[0] > ALONE
+        (whole, part)
+        for whole, part in parts
+        if not len(root) or np.linalg.eigvalsh(root @ u.basis.T @ (total - whole.reduced) @ u.basis @ root.T)[0] > ALONE
     ]
     if len(retained) < 2:
         return NotHeldOut("every frame determines something of the cameras that no other does")
-    for reduced, right, left, dof, _ in retained:
-        H, g = total - reduced, drawn - right
+    for whole, part in retained:
+        H, g = total - whole.reduced, drawn - whole.right
         inner = np.linalg.inv(u.basis.T @ H @ u.basis) if u.basis.shape[1] else np.zeros((0, 0))
         delta = u.basis @ (inner @ (u.basis.T @ g))
-        plain = here = left - 2 * right @ delta + delta @ reduced @ delta
+        plain = here = part.left - 2 * part.right @ delta + delta @ part.reduced @ delta
         surprise = u.basis.T @ (
-            right - reduced @ delta
+            part.right - part.reduced @ delta
         )  # what the shared unknowns' uncertainty explains of it (Woodbury)
-        here -= surprise @ np.linalg.solve(u.basis.T @ total @ u.basis, surprise)
-        chi2, expected, square = chi2 + cast(float, here), expected + dof, square + cast(float, plain)
-        ratios.append(here / dof)
-    corners = sum(p[4] for p in retained)
-    mean = np.sqrt(np.median(np.einsum("nii->n", observations.covariance)) / 2)
+        here -= surprise @ np.linalg.solve(u.basis.T @ (H + part.reduced) @ u.basis, surprise)
+        chi2, expected, square = chi2 + float(here), expected + part.dof, square + float(plain)
+        ratios.append(here / part.dof)
+    corners = sum(part.corners for _, part in retained)
+    mean = np.sqrt(np.median(np.einsum("nii->n", tested.covariance)) / 2)
     scatter = float(np.std(ratios, ddof=1) / np.sqrt(len(ratios)))
     return HeldOut(float(chi2), float(expected), scatter, float(mean * np.sqrt(square / (2 * corners))), corners)
 

@@ -64,6 +64,8 @@ class Adjustment:
     dof : observations less the unknowns that they determine; cost : sum of whitened squares, priors' included
     unknowns : Unknowns, what was adjusted, being of the groups `free`; stated : State that the priors pull to
     printing : how far printed markers were taken to be off, or None
+    common_image_errors : px RMS, of each camera, by which corners err alike at the same place of its image in every
+    frame, () where they show no such errors
     """
 
     state: State
@@ -80,6 +82,7 @@ class Adjustment:
     stated: State
     free: tuple[str, ...]
     printing: Printing | None = None
+    common_image_errors: tuple[float, ...] = ()
 
     @property
     def of_prints(self) -> Booleans:

@@ -178,6 +178,45 @@ def repeated_corner_covariance_and_systematic_error(
     return covariance, float(np.sqrt(excess))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WeighedAdjustment:
+    """Adjustment of n corners of the solved frames, m of them used.
+
+    used : Observations (m,), as weighed; own : (m,) whether a corner's covariance is that of its own errors alone
+    weights : (n, 2, 2) px^2; systematic_error : px, of repeated base corners; variance : by which the corners' own
+    squares differ from those that all corners together left
+    """
+
+    adjustment: Adjustment
+    used: Observations
+    own: Booleans
+    weights: Floats
+    systematic_error: float
+    variance: float
+
+
+def adjust_with_systematic_errors_weighed(
+    observations: Observations, fit: RobustAdjustment, free: Sequence[str], stated: State
+) -> WeighedAdjustment:
+    """WeighedAdjustment in which repeats of base corners count as what they are.
+
+    observations : of all frames; fit : RobustAdjustment of them
+    Where such corners err by more than chance, the others alone say how much corners scatter.
+    """
+    keep, result, variance = np.isin(observations.frame, fit.solved), fit.adjustment, 1.0
+    good = fit.inliers[keep]
+    while True:
+        retained = observations_of_frames(replace(observations, covariance=variance * fit.covariance), fit.solved)
+        weights, error = repeated_corner_covariance_and_systematic_error(retained, good, result.state)
+        used = replace(retained, covariance=weights).take(good)
+        result = adjust_bundle(used, result.state, free, stated=stated, printing=result.printing)
+        own = (weights == retained.covariance).all(axis=(1, 2))[good]
+        dof = 2 * np.count_nonzero(own) - int(result.unknowns.used.sum())
+        if own.all() or variance != 1.0 or dof < ENOUGH:
+            return WeighedAdjustment(result, used, own, weights, error, variance)
+        variance = float((result.whitened[own] ** 2).sum() / dof)
+
+
 def _spread(found: State, state: State, solved: Floats) -> State:
     """The state over all frames with the solved ones' poses put in."""
 

@@ -2,14 +2,17 @@
 recordings are measured to the last bit as by equal and independent errors.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rig.model.pose import pose_difference
 from synthetic.unlisted_effects_and_corner_noise import DISTURBANCES, _add_air_shimmer, _add_shaken_frames
-from tests.vision.drawn_observations import scene
+from tests.vision.drawn_observations import scene, standing
 from tests.vision.test_recording_adjustment import joint_chi2
 from vision import recording_adjustment
+from vision.bundle.adjustment_cross_validation_and_determined_unknowns import crossvalidate_adjustment
 from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 
@@ -49,3 +52,35 @@ def test_air_counts_in_poses_and_in_what_frames_share(design, monkeypatch):
     assert (found.T_base_platform.as_matrix() == plain.T_base_platform.as_matrix()).all()
     shared, before = (np.diag(m.adjustment.shared_covariance) for m in (found, plain))
     assert np.median(shared / before) > 1.5
+
+
+def wavy_lens(corners, design, noise, rng):
+    """Corners seen by one camera through a pane whose surface is wavy: no polynomial, and the same in every frame."""
+    own = np.array(corners.camera) == design.cameras[1].name
+    phase, wave = rng.uniform(0, 2 * np.pi, (2, 2)), 2 * np.pi / (1.5 * design.cameras[1].width)
+    u, v = corners.uv.T
+    shift = np.stack([np.sin(wave * u + phase[0, k]) * np.cos(wave * v + phase[1, k]) for k in range(2)], axis=1)
+    return replace(corners, uv=corners.uv + 5 * noise * own[:, None] * shift)
+
+
+def test_a_lens_that_is_not_as_adjusted_counts_in_poses(design):
+    """Poses scatter by what is stated, as they would not without it, and the camera is named."""
+    ratios = []
+    for seed in range(4):
+        found, errors = measured(design, wavy_lens, 20 + seed)
+        ratios.append(joint_chi2(found, errors) / errors.size)
+        sizes = found.adjustment.common_image_errors
+        assert len(sizes) == len(design.cameras) and np.argmax(sizes) == 1 and sizes[1] > NOISE / 2, seed
+    assert max(ratios) < 2 and np.median(ratios) < 1.4
+
+
+def test_held_out_frames_are_asked_of_corners_with_errors_of_their_own(design):
+    """Corners of the base that err alike in every frame are weighed for that, and leave next to nothing."""
+    rng = np.random.default_rng(31)
+    observations, stated, _, _ = scene(design, 31, frames=FRAMES, noise=NOISE)
+    found = measure_observations(standing(observations, rng, 2 * NOISE), stated, marker_map(stated))
+    own = found.own_errors()
+    assert not own.all() and found.standing > NOISE
+    held = crossvalidate_adjustment(found.used(), found.adjustment, own)
+    assert abs(held.ratio - 1) < max(3 * held.scatter, 0.05) and held.corners == own.sum()
+    assert crossvalidate_adjustment(found.used(), found.adjustment).ratio < 0.9
