@@ -42,9 +42,7 @@ from vision.pose.pose_refinement_and_ambiguity_resolution import FAR
 from vision.predict import MarkerMap, State, predict_corners
 
 FARTHEST = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
-# standard deviations; what a draw that all poses share moves all of them together by, below which each pose bears it
-# alone
-NEGLIGIBLE = 1e-2
+NEGLIGIBLE = 1e-2  # standard deviations by which a shared draw moves all poses; below, each pose bears it alone
 UNSURE = 3.0  # px; where places are free, what stated ones may be off by before a frame that they hold is doubted
 
 
@@ -110,16 +108,18 @@ class Measurement(OneLineRepr):
 
     def used(self) -> Observations:
         """Observations that were adjusted, with the weights they were given: the inliers of the solved frames."""
-        solved = np.searchsorted(self.observations.frames, self.frames)
-        retained = replace(observations_of_frames(self.observations, solved), covariance=self.weights)
-        return retained.take(self.inliers[np.isin(self.observations.frame, solved)])
+        retained, inliers = self._solved()
+        return replace(retained, covariance=self.weights).take(inliers)
 
     def own_errors(self) -> Booleans:
         """(n,) of those observations, whether a corner's covariance is that of its own errors alone."""
-        solved = np.searchsorted(self.observations.frames, self.frames)
-        retained = observations_of_frames(self.observations, solved)
-        inliers = self.inliers[np.isin(self.observations.frame, solved)]
+        retained, inliers = self._solved()
         return cast(Booleans, (self.weights == retained.covariance).all(axis=(1, 2))[inliers])
+
+    def _solved(self) -> tuple[Observations, Booleans]:
+        solved = np.searchsorted(self.observations.frames, self.frames)
+        used = self.inliers[np.isin(self.observations.frame, solved)]
+        return observations_of_frames(self.observations, solved), used
 
     def ids(self) -> list[int]:
         """Identity of each row of the marker map."""
@@ -190,19 +190,18 @@ def measure_observations(
         covariance = fit.covariance
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed
     fit = fit if places else adjust_with_estimated_printing_errors(observations, fit, tuple(free))
-    solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     weighed = adjust_with_systematic_errors_weighed(observations, fit, free, stated)
     observations = replace(observations, covariance=weighed.variance * fit.covariance)
-    retained = observations_of_frames(observations, solved)
+    retained = observations_of_frames(observations, fit.solved)
     result = with_covariance_of_unlike_errors(weighed.used, weighed.adjustment, weighed.own)
-    numbers, covariance = observations.frames[solved], result.platform_covariance
+    covariance = result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
-    residuals[keep] = retained.uv - predict_corners(retained, result.state)[0]
+    residuals[np.isin(observations.frame, fit.solved)] = retained.uv - predict_corners(retained, result.state)[0]
     noise = np.sqrt(np.median(np.einsum("nii->n", retained.covariance)) / 2)
     return Measurement(
         replace(design, cameras=result.state.cameras),
-        numbers,
+        observations.frames[fit.solved],
         result.state.platform,
         covariance,
         common,
@@ -397,11 +396,8 @@ def measure_without_remounted_cubes(
         np.zeros(len(on_remounted_cube), bool),
         np.full((len(on_remounted_cube), 2), np.nan),
     )
-    covariance[~on_remounted_cube], inliers[~on_remounted_cube], residuals[~on_remounted_cube] = (
-        found.observations.covariance,
-        found.inliers,
-        found.residuals,
-    )
+    covariance[~on_remounted_cube] = found.observations.covariance
+    inliers[~on_remounted_cube], residuals[~on_remounted_cube] = found.inliers, found.residuals
     solved = np.isin(observations.frames[observations.frame], found.frames)
     weights = covariance.copy()
     weights[solved & ~on_remounted_cube] = found.weights
