@@ -32,8 +32,9 @@ CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt b
 
 
 def load(path: Path | str, skip_unreadable: bool = False, mask: str | None = None) -> Recording:
-    """Recording of a folder, checked.
+    """Load the Recording of a folder.
 
+    It is checked.
     skip_unreadable : whether images that cannot be used are left out (see Recording.skipped), not refused
     mask : frames to leave out, as "3,7-9"
     Raises FileError that names file, line and column; RigError that names the likeliest mistake first, where the files
@@ -123,7 +124,9 @@ class PlannedConfigurations(OneLineRepr):
 
 
 def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfigurations:
-    """PlannedConfigurations of a plan's parts, at whose exposures the axes stand.
+    """Planned configurations (PlannedConfigurations) of a design, from the parts of a plan.
+
+    They are those at whose exposures the axes stand.
 
     parts : as of rig.planning.plan.build_plan, for example "axes:5,combined:4"
     Raises RigError for a part that is not known, and for exposures on the way
@@ -183,7 +186,7 @@ class CheckResult(OneLineRepr):
 
 
 def check(path: Path | str) -> CheckResult:
-    """CheckResult of a recording's files alone.
+    """Check of a recording's files, as a CheckResult.
 
     `calib.check` looks at corners, images and poses as well.
 
@@ -229,7 +232,9 @@ class EffectCatalogue:
 def effect_catalogue(
     effects: "Mapping[str, type[Effect]]", folder: str = "", draw: "Callable[[type[Effect]], Sketch] | None" = None
 ) -> EffectCatalogue:
-    """EffectCatalogue of effects {name: class}, with a sketch of each where a function draws them.
+    """Catalogue (EffectCatalogue) of effects {name: class}.
+
+    With a sketch of each where `draw` draws them.
 
     folder : where the document finds the sketches, NAME.svg; draw : raises RigError for an effect without a sketch
     """
@@ -261,8 +266,9 @@ class ImportResult(NamedTuple):
 def import_recording(
     recipe: "Recipe", folder: Path, name: Path | None = None, skip_unreadable: bool = False
 ) -> ImportResult:
-    """Write the recording that a recipe describes into an empty folder.
+    """Import the recording that a recipe describes into a folder.
 
+    The folder is empty.
     name : of the folder in errors, by default its path; skip_unreadable : whether unusable images are left out
     Returns what it holds and remarks on it
     Raises RigError for files that cannot be used, and for what is no recording once it is imported

@@ -20,7 +20,7 @@ from rig.formats.output_files import write_text
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from synthetic import random_blind_arm_cases_with_truth, random_blind_platform_cases_with_truth
 from synthetic.blind_campaign_page import campaign_dict, campaign_verdict, write_campaign_page
-from synthetic.diagnosis_score import Case, campaign_medians, campaign_rates_with_intervals, score_case
+from synthetic.blind_diagnosis_score import Case, campaign_medians, campaign_rates_with_intervals, score_case
 from synthetic.image_simulation import is_renderable
 
 MOST, MOST_FRAMES = 1_000_000, 10_000  # cases of a campaign, frames of a case

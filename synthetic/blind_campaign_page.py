@@ -18,10 +18,10 @@ from rig.report.pages.html_and_svg_elements import captioned_html, heading_html,
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.plots import Series, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
-from synthetic import diagnosis_score
+from synthetic import blind_diagnosis_score
 
 if TYPE_CHECKING:
-    from synthetic.diagnosis_score import Case, Figure, Hidden
+    from synthetic.blind_diagnosis_score import Case, Figure, Hidden
 
 LOOK_AT = "Examine the wrong answers below, each in its folder: `diagnoses/NNNN/diagnosis.html`"
 MORE = "Draw more cases: `rig simulate blind --season N --out DIR` with a longer season"
@@ -35,15 +35,15 @@ def campaign_dict(cases: list[Case]) -> Json:
     Verdict, figures, medians, by_effect, by_strength, confusion, cases.
     """
     return {
-        "verdict": campaign_verdict(diagnosis_score.campaign_rates_with_intervals(cases)).tree(),
-        "figures": [asdict(f) for f in diagnosis_score.campaign_rates_with_intervals(cases)],
+        "verdict": campaign_verdict(blind_diagnosis_score.campaign_rates_with_intervals(cases)).tree(),
+        "figures": [asdict(f) for f in blind_diagnosis_score.campaign_rates_with_intervals(cases)],
         "medians": {
             name: None if math.isnan(value) else value
-            for name, value in diagnosis_score.campaign_medians(cases).items()
+            for name, value in blind_diagnosis_score.campaign_medians(cases).items()
         },
-        "by_effect": _rows(diagnosis_score.detection_and_naming_shares_by_effect(cases)),
-        "by_strength": _rows(diagnosis_score.detection_and_naming_shares_by_strength(cases)),
-        "confusion": diagnosis_score.strong_effect_confusion_table(cases),
+        "by_effect": _rows(blind_diagnosis_score.detection_and_naming_shares_by_effect(cases)),
+        "by_strength": _rows(blind_diagnosis_score.detection_and_naming_shares_by_strength(cases)),
+        "confusion": blind_diagnosis_score.strong_effect_confusion_table(cases),
         "cases": [
             {
                 "case": c.index,
@@ -92,25 +92,25 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         paragraph_html(
             f"{len(cases)} blinded cases ({message}). Strength is an effect's signal-to-noise over all corners "
             "once cameras and geometry "
-            f"have absorbed what they can; an effect is strong from {diagnosis_score.STRONG:g} on. Intervals "
+            f"have absorbed what they can; an effect is strong from {blind_diagnosis_score.STRONG:g} on. Intervals "
             "are Clopper and Pearson's, 95 %."
         ),
         table_html(
             ("what", "hits", "of", "share", "interval", "to reach"),
-            [_figure(f) for f in diagnosis_score.campaign_rates_with_intervals(cases)],
+            [_figure(f) for f in blind_diagnosis_score.campaign_rates_with_intervals(cases)],
         ),
         table_html(
             ("median", ""),
             [
                 (name, "not known" if math.isnan(value) else f"{value:.3g}")
-                for name, value in diagnosis_score.campaign_medians(cases).items()
+                for name, value in blind_diagnosis_score.campaign_medians(cases).items()
             ],
         ),
         heading_html("By effect"),
         note_html("Strong ones, in cases with one or two."),
-        _grouped(diagnosis_score.detection_and_naming_shares_by_effect(cases), "effect"),
+        _grouped(blind_diagnosis_score.detection_and_naming_shares_by_effect(cases), "effect"),
         heading_html("By strength"),
-        _grouped(diagnosis_score.detection_and_naming_shares_by_strength(cases), "signal-to-noise"),
+        _grouped(blind_diagnosis_score.detection_and_naming_shares_by_strength(cases), "signal-to-noise"),
     ]
     if any(c.hidden for c in cases):
         parts.append(
@@ -124,7 +124,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
     parts += [
         heading_html("Confusion matrix"),
         note_html("Rows: what was hidden. Columns: the name that it was given."),
-        _confusion(diagnosis_score.strong_effect_confusion_table(cases)),
+        _confusion(blind_diagnosis_score.strong_effect_confusion_table(cases)),
         heading_html("Wrong answers"),
         _wrong(cases),
     ]
@@ -133,7 +133,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
         for c in cases
         if c.failed is None and not _right(c)
     ][:LINKS]
-    verdict = campaign_verdict(diagnosis_score.campaign_rates_with_intervals(cases))
+    verdict = campaign_verdict(blind_diagnosis_score.campaign_rates_with_intervals(cases))
     write_page(
         path,
         Page(

@@ -229,8 +229,9 @@ def fold_line_matplotlib_style() -> Json:
 
 
 def draw_rulers_and_legend(axes: Axes, paper: tuple[float, float], label: str) -> None:
-    """Draw the rulers, the legend and the label of a sheet.
+    """Draw the rulers and the legend of a sheet.
 
+    Its label is drawn too.
     paper : (width, height) mm
     """
     for along in (0, 1):

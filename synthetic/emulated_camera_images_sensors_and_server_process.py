@@ -1,4 +1,4 @@
-"""Emulated cameras of an emulated machine.
+"""Images of emulated cameras, sensors, and the process that serves them.
 
 Images are rendered of the pose that it has, by a process of their own.
 """

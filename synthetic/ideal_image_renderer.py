@@ -25,7 +25,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, ImageBytes, Pixels, Singles
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.errors import MissingLibrary
 from rig.model.design import Camera, Design
 from rig.model.pose import exp

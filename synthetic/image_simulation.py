@@ -180,8 +180,9 @@ def _exposed(f: int, i: int, sensor: Sensor) -> Floats:
 
 
 def render_image(simulation: Simulation, frame: int, camera: int, images: Images, seed: int) -> Floats:
-    """Image of one frame by one camera, rendered in this process, uint8 or uint16 (12 bits).
+    """Image of one frame by one camera.
 
+    It is rendered in this process, uint8 or uint16 (12 bits).
     simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
     Raises what `render_images` raises
     """

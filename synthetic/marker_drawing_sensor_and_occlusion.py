@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.model.design import Design, Sensor
 from synthetic.rig_meshes import (
     PLATE,

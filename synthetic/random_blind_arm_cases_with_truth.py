@@ -1,4 +1,4 @@
-"""Blind cases of arms, drawn at random.
+"""Blind cases of arms, drawn at random, with their truth.
 
 Makes, instruments, protocols, unmodelled physics.
 
@@ -172,7 +172,10 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
 
 
 def write_recording(case: DrawnArmCase, folder: Path) -> None:
-    """Write the recording of an arm case into a folder, with noise and difficulties."""
+    """Write the recording of an arm case into a folder.
+
+    It has noise and difficulties.
+    """
     rng, done, n = case.rng, case.simulation, len(case.simulation.plan.t)
     noise = rng.standard_t(STUDENT, (n, 6)) if "tails" in case.hard else rng.normal(size=(n, 6))
     if "wild" in case.hard:

@@ -1,4 +1,4 @@
-"""Blind cases drawn at random.
+"""Blind cases of platforms, drawn at random, with their truth.
 
 Rigs, protocols, image settings, unmodelled physics; written as recordings and truth.
 """
@@ -130,7 +130,10 @@ def random_image_settings(rng: np.random.Generator) -> ImageSettings:
 
 
 def random_printing_errors_of_typical_size(design: Design, rng: np.random.Generator) -> Printing:
-    """Printing errors of a design's markers drawn at random, as large as printers make them."""
+    """Printing errors of typical size of a design's markers, drawn at random.
+
+    They are as large as printers make them.
+    """
     place, side = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (PLACE, SIDE))
     return random_printing_errors(design, rng, place, side)
 
@@ -184,7 +187,7 @@ class DrawnCase:
 def random_case_kind_and_effect_numbers(
     seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)
 ) -> tuple[str, list[int], np.random.Generator]:
-    """Schedule the effects of case `index` of a campaign.
+    """Kind and effect numbers of case `index` of a campaign, drawn at random.
 
     Returns (kind, their numbers in the catalogue, rng)
     """

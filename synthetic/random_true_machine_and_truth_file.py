@@ -1,4 +1,4 @@
-"""Secret machine of a simulation, and its truth file.
+"""True machine of a simulation, drawn at random, and its truth file.
 
 Drawn at random: geometry, cameras, temperatures, remounted cubes.
 """
@@ -159,7 +159,7 @@ def strut_count(mechanism: Commanded) -> int:
 def random_true_and_logged_temperatures(
     duration: float, rng: np.random.Generator, struts: int = 6
 ) -> tuple[Sensors, Sensors]:
-    """Temperatures drawn at random over a duration (s).
+    """True and logged temperatures drawn at random over a duration (s).
 
     Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every
     LOG_EVERY s, with noise.

@@ -129,8 +129,9 @@ def simulate_world(
 
 
 def rms_length_conflict_of_actuated_struts(simulation: Simulation) -> float | None:
-    """Length (m, RMS over exposures and struts) by which more than six driven struts give way to each other.
+    """RMS length (m) of the conflict between driven struts.
 
+    More than six give way to each other by it; it is over exposures and struts.
     None for six, and with followers
     """
     m, run = simulation.world.true.mechanism, simulation.run
@@ -301,8 +302,9 @@ def write_recording(
     progress: Callable[[int, int], None] | None = None,
     corrupt_corners: Callable[[Corners], Corners] | None = None,
 ) -> None:
-    """Write the recording folder of a simulation as its owner would have it.
+    """Write the recording folder of a simulation.
 
+    It is as its owner would have it.
     out : folder; rig_toml_text : the owner's rig.toml; noise : px, to write corners; or images : what renders them
     progress : called with (done, of) pictures, or None; corrupt_corners : what happens to Corners (-> Corners) before
         they are written, or None

@@ -74,8 +74,9 @@ AMBIENT = 0.25
 def rig_and_background_meshes(
     design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None
 ) -> list[Part]:
-    """Parts (meshes) of a rig and of its background, plain or cluttered.
+    """Parts (meshes) of a rig and of its background.
 
+    The background is plain or cluttered.
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
     """
     found = []

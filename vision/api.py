@@ -193,8 +193,11 @@ class MeasurementResult(OneLineRepr):
         }
 
 
-def camera_offset_lines(measured: Measurement) -> list[str]:
-    """A line for each camera that was found to expose at other moments than its times say."""
+def camera_time_offset_lines(measured: Measurement) -> list[str]:
+    """Lines on cameras with time offsets.
+
+    A camera has one where it was found to expose at other moments than its times say.
+    """
     names, lines = [camera.name for camera in measured.design.cameras], []
     for name, offset in zip(names, measured.camera_offsets):
         if offset:
@@ -207,7 +210,7 @@ def camera_offset_lines(measured: Measurement) -> list[str]:
 
 
 def too_large_focal_length_adjustment_sentences(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
-    """Alarms of cameras whose focal length was adjusted too far.
+    """Sentences on focal lengths that were adjusted too far.
 
     That is by more than ZOOMED times what its stated one is taken to be worth. One sentence for each.
     """
@@ -356,5 +359,5 @@ def measure(
     clocks = clock_offset_and_drive_lag_by_recording(
         recording, measured.frames, measured.T_base_platform, own, measured.common
     )
-    statement = [*map(str, clocks), *camera_offset_lines(measured), *determination.lines()]
+    statement = [*map(str, clocks), *camera_time_offset_lines(measured), *determination.lines()]
     return MeasurementResult(recording, measured, held, collected, moved, statement, wrong, determination, clocks)

@@ -1,4 +1,6 @@
-"""Clocks of cameras and commands, compared by a recording in motion.
+"""Estimation of clock offset, drive lag and time offsets of cameras.
+
+They are estimated from a recording in motion.
 
 A platform that moves at v is off by v times the difference between the clocks. In the lengths that struts must have at
 the measured poses, less those commanded, this is a term by itself: the struts' speeds at the exposures. It is solved
@@ -101,9 +103,10 @@ def are_commands_changing(commands: Commands, t: Floats) -> Booleans:
 def clock_offset_and_drive_lag_by_recording(
     recording: Recording, frames: Integers, T_base_platform: RigidTransform, own: Floats, common: Floats
 ) -> tuple[Clocks, ...]:
-    """Clocks of a recording, one of each of the recordings that it consists of which moves enough; () for a machine
-    that is no hexapod, or whose struts press against each other.
+    """Clock offset and drive lag (Clocks) of each recording.
 
+    There is one for each of the recordings that a recording consists of which moves enough; () for a machine that is no
+    hexapod, or whose struts press against each other.
     frames : (f,) numbers; own : (f, 6, 6) covariance of each pose, on the right; common : (f, 6, k) what they share
     """
     mechanism, commands = recording.design.mechanism, recording.commands
@@ -125,8 +128,9 @@ def clock_offset_and_drive_lag_by_recording(
 
 
 def recording_with_clock_offset_and_lag_applied(recording: Recording, clocks: Sequence[Clocks]) -> Recording:
-    """The Recording with its exposures on the commands' clock, and commands as the axes follow them.
+    """The Recording with clock offset and drive lag applied.
 
+    Its exposures are on the commands' clock, and its commands are as the axes follow them.
     Exposures that would precede the first command stand at it: before it nothing moved.
     """
     commands, exposures = recording.commands, recording.exposures
@@ -143,7 +147,10 @@ def recording_with_clock_offset_and_lag_applied(recording: Recording, clocks: Se
 
 
 def lagged_commands(commands: Commands, time_constant: float, t: Floats) -> Commands:
-    """Commands as axes follow them that lag by a time constant (s), linear between knots, exact at times t (n,) s."""
+    """Commands as axes follow them with a lag.
+
+    It is by a time constant (s), linear between knots, exact at times t (n,) s.
+    """
     path = Path(commands.t, commands.values, np.zeros(1, int), commands.starts).with_knots(t)
     path = lagged_path(path, time_constant, np.ones(commands.values.shape[1], bool))
     return replace(commands, t=path.t, values=path.lengths)
@@ -269,8 +276,9 @@ def camera_time_offsets(
     state: State,
     moving: Booleans,
 ) -> CameraTimeOffsets | None:
-    """CameraTimeOffsets of fixed cameras; None where too few frames move, or one camera alone sees them.
+    """Time offsets of cameras (CameraTimeOffsets).
 
+    They are fixed cameras; None where too few frames move, or one camera alone sees them.
     observations : of solved frames, with the motion to each corner's exposure; delayed_observations : the same with all
     exposures later by delay (s); residuals : (n, 2) px; state : State of these frames; moving : (F,) whether they move
     """

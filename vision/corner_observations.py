@@ -107,7 +107,10 @@ def empty_observations(frame: int) -> Observations:
 
 
 def observations_of_frames(observations: Observations, frame_indices: Integers) -> Observations:
-    """Observations of the selected frames (indices (k,)) alone, their frames renumbered."""
+    """Observations of the selected frames alone.
+
+    They are of indices (k,), their frames renumbered.
+    """
     retained = observations.take(np.isin(observations.frame, frame_indices))
     return replace(
         retained, frames=observations.frames[frame_indices], frame=np.searchsorted(frame_indices, retained.frame)

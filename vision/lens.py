@@ -9,7 +9,7 @@ ahead).
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

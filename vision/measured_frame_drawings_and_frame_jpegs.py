@@ -1,4 +1,4 @@
-"""Pictures of frames with what was measured.
+"""Drawings of measured frames, and JPEGs of frames.
 
 Markers, axes and residuals, as JPEG and PNG.
 """
@@ -27,8 +27,9 @@ QUALITY = 80
 
 
 def encode_jpeg_reduced_to_page_width(image: Pixels) -> bytes:
-    """JPEG of an image (height, width) or (height, width, 3) as cameras give it.
+    """JPEG of an image, reduced to the width of a page.
 
+    The image is (height, width) or (height, width, 3) as cameras give it.
     No wider than a page needs.
     """
     eight = grey_images_for_reader_and_fit(image)[0]
@@ -93,7 +94,9 @@ def measure_and_draw_frame(
 
 
 def picture_file_suffix(path: str | Path) -> str:
-    """Suffix of a picture file that states its format, PNG's by default.
+    """Suffix of a picture file.
+
+    It states its format, PNG's by default.
     Raises FileError for an unknown one.
     """
     suffix = Path(path).suffix.lower()

@@ -1,6 +1,6 @@
-"""Rolling shutter motion, removed from poses.
+"""Motion of the platform between a frame's time and the exposure of each corner.
 
-Motion of the platform between a frame's time and the exposure of each corner.
+It is removed from poses, as a rolling shutter needs.
 
 A corner in row v of a rolling shutter is exposed (v - height / 2) * row_time after its camera's time, which may itself
 be later than the frame's. The platform has moved on by then, at the rate that commands state. Where it speeds up, this
@@ -97,7 +97,7 @@ def observations_with_readout_motion(observed: Observations, design: Design, rat
     return replace(observed, motion=exp(step).as_matrix()[:, :3])
 
 
-def with_uncertainty_of_rates(measured: Measurement, rates: Rates) -> Measurement:
+def measurement_with_uncertainty_of_rates(measured: Measurement, rates: Rates) -> Measurement:
     """The Measurement with the uncertainty of rates.
 
     With what rates that are taken at another moment would make of its poses.
@@ -150,7 +150,7 @@ class ReadoutMotion:
         if not self._acts:
             return found
         found = replace(found, camera_offsets=tuple(self.offsets.tolist()) if self.offsets.any() else ())
-        return with_uncertainty_of_rates(self._with_shift_to_frame_times(found), self.rates)
+        return measurement_with_uncertainty_of_rates(self._with_shift_to_frame_times(found), self.rates)
 
     def _moved(self, observed: Observations) -> Observations:
         design = self._recording.design

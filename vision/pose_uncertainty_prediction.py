@@ -48,8 +48,9 @@ class PredictedUncertainty:
 def predict_pose_uncertainty(
     measured: Measurement, design: Design, T_base_platform: RigidTransform
 ) -> PredictedUncertainty:
-    """PredictedUncertainty of poses (n,), by cameras, lenses and corners' noise as a recording's Measurement has them.
+    """Predicted uncertainty of poses (n,) (PredictedUncertainty).
 
+    It is by cameras, lenses and corners' noise as a recording's Measurement has them.
     design : as its owner states it
 
     Raises RigError for cameras that stand elsewhere in every frame, and where places of markers were adjusted

@@ -1,4 +1,6 @@
-"""Prediction of marker corners in images: the one forward model of the cameras.
+"""Prediction of marker corners in images.
+
+This is the one forward model of the cameras.
 
 It takes poses, cameras and the map of all markers of a rig on their bodies.
 """
@@ -266,8 +268,9 @@ def predict_sightings(
 def visible_marker_counts_over_all_cameras(
     cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
 ) -> Integers:
-    """Counts (F,) of the markers visible at each of poses (F,): whole in an image, occlusion ignored.
+    """Counts (F,) of the markers visible at each of poses (F,).
 
+    They are whole in an image; occlusion is ignored.
     What stands in the way is not looked at
     """
     held = {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}

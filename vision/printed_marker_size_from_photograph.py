@@ -48,8 +48,9 @@ class Printed:
 def measure_printed_marker_scale(
     photo: Path, design: Design, sheet: tuple[float, float, float], ruler: tuple[Floats, float] | None = None
 ) -> Printed:
-    """Measure the printed scale of markers in a photograph, by a ruler or, without one, by the whole sheet.
+    """Measure the printed scale of markers in a photograph.
 
+    It is by a ruler or, without one, by the whole sheet.
     sheet : width, height and their standard uncertainty, m; ruler : (2, 2) px of two of its lines, and m between them
     Raises FileError for a file that is no picture, RigError as `print_scales_across_and_along_sheet` and
         `print_scale_by_ruler`

@@ -1,4 +1,6 @@
-"""Adjustment of a recording's corners: cameras, and poses of the platform with covariance.
+"""Adjustment of a recording.
+
+Its corners give cameras, and poses of the platform with covariance.
 
 In the platform's own frame a hand camera stands still and the base's markers move. So it is measured like any rig, base
 and platform exchanged: its stated pose holds the platform's frame, markers' stated places the base's.

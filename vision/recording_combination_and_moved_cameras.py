@@ -101,7 +101,9 @@ class CombinedRecordings:
 
 
 def combine_recordings(recordings: Sequence[Recording], progress: Progress | None = None) -> CombinedRecordings:
-    """CombinedRecordings of several recordings of one rig, in chronological order.
+    """CombinedRecordings of several recordings.
+
+    They are of one rig, in chronological order.
     progress : called with (label, done, of), or None
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
@@ -136,8 +138,9 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
 
 
 def require_combinable(recordings: Sequence[Recording]) -> None:
-    """Raise RigError unless recordings can be combined: of one rig, and no data of one in another.
+    """Raise RigError unless recordings can be combined.
 
+    They are of one rig, with no data of one in another.
     Names what differs; data in two recordings would count twice.
     """
     require_one_rig(recordings)

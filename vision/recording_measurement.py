@@ -237,8 +237,9 @@ def measure_with_stated_or_free_markers(
     t: Floats,
     places: str,
 ) -> Measurement:
-    """Measurement with marker poses as stated, or estimated too where requested or where the stated are doubtful.
+    """Measurement with stated or free places of markers.
 
+    Their poses are as stated, or estimated too where requested or where the stated are doubtful.
     t : (F,) s
     """
     if markers.stage.any():
@@ -339,7 +340,10 @@ def unsolved_frames_with_enough_markers(measured: Measurement) -> list[int]:
 
 
 def frames_with_enough_markers(o: Observations, design: Design) -> list[int]:
-    """Numbers of frames with two markers or more of all that is needed."""
+    """Numbers of frames with enough markers.
+
+    They are two or more of all that is needed.
+    """
     enough = np.ones(len(o.frames), bool)
     moving = [i for i, camera in enumerate(design.cameras) if camera.mount == "moving"]
     for mask in (o.on_platform, *(~o.on_platform & (o.camera == i) for i in moving)):

@@ -120,8 +120,9 @@ class ArmKinematics:
 
 
 def load_kinematics(text: str) -> ArmKinematics | PlatformKinematics:
-    """Load ArmKinematics, or PlatformKinematics of a platform on struts or of a kinematics file, by a text.
+    """Arm or platform kinematics loaded by a text.
 
+    PlatformKinematics is of a platform on struts or of a kinematics file.
     Path of a rig.toml or calibration.json, or a shipped arm's name.
     Raises RigError for other kinds
     """

@@ -1,4 +1,6 @@
-"""Platform as a device of Bluesky (ophyd-async), whose plans move it to corrected poses.
+"""Platform as a device of Bluesky (ophyd-async).
+
+Plans of Bluesky move it to corrected poses.
 
 The move is that of `rig go`: corrected lengths, checked, and read back from where the struts stand. ophyd-async is
 imported where a device is made.
@@ -128,8 +130,9 @@ def bluesky_platform(
     share: float = 1.0,
     measure: Callable[[], RigidTransform] | None = None,
 ) -> PosePlatform:
-    """The platform as a device of ophyd-async: what a PosePlatform does, and `set`, its move as a status.
+    """The platform as a Bluesky (ophyd-async) device.
 
+    It does what a PosePlatform does, and `set` is its move as a status.
     driver : open, of a rig whose position is known; calibration : of the same rig; share : of the greatest speeds
     measure : T_base_platform () of the platform at rest, called whenever the device is read; None where nobody measures
     Raises MissingLibrary without ophyd-async, RigError for a calibration of another rig

@@ -56,11 +56,11 @@ from calib.models.chain.configuration_space_correction import chain_correction_s
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, sample_recording
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,
 )
-from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds

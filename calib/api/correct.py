@@ -262,7 +262,7 @@ def correct(
 
 
 def unreachable_poses_error(unreachable_frames: list[tuple[int, str]], count: int) -> Unreachable:
-    """Error (Unreachable) that lists the wanted poses out of reach, of `count` in all."""
+    """Error (Unreachable) that lists unreachable poses, of `count` in all."""
     return Unreachable(
         f"{len(unreachable_frames)} of {count} wanted poses cannot be reached:",
         [frame for frame, _ in unreachable_frames],

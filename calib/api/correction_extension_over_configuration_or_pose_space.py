@@ -1,4 +1,4 @@
-"""Correction over a configuration or pose space.
+"""Extension of a correction over a configuration or pose space.
 
 It is extended from samples at once, or as an additional pass.
 
@@ -38,7 +38,7 @@ from calib.models.chain.configuration_space_correction import (
     certify_chain_correction_extension,
     single_step_chain_correction_errors,
 )
-from calib.samples.pose_samples import Sampled, Samples
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import parse_number

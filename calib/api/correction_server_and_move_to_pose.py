@@ -35,7 +35,7 @@ from rig.driving.axis_display_units_and_controller_counts import values_text
 from rig.driving.axis_driver import Driver
 from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.errors import RigError, Unreachable
-from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism

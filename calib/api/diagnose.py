@@ -29,7 +29,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     write_diagnosis_json_and_simulation_files,
 )
 from calib.files import calibration_file
-from calib.samples.pose_samples import Sampled, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,

@@ -238,8 +238,9 @@ class PlannedRun:
 
 
 def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDARD) -> PlannedRun:
-    """PlannedRun of a design, checked and ready to start, as `rig run` begins one; nothing moves yet.
+    """PlannedRun of a design, ready to start.
 
+    It is checked, as `rig run` begins one; nothing moves yet.
     path : of its rig.toml; plan : as "sobol:40,ladder,repeat:20"
     Raises RigError for a plan of a cube put back turned, for options that do not suit the design, and for a rig.toml
     that names programs and is part of a recording
@@ -261,7 +262,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
 
 
 def make_function_refusing_unsafe_moves(design: Design) -> Callable[[Floats, Floats], None]:
-    """Checker of moves, a function.
+    """Function that refuses unsafe moves.
 
     A function that raises Unreachable where the driver would refuse the move.
 

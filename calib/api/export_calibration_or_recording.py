@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.api.lookup_table_over_sensor_channels import corrected_command_lookup_table
+from calib.api.corrected_command_lookup_table_over_sensor_channels import corrected_command_lookup_table
 from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
 from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import correction_c_source
 from calib.correction.hexapod_kinematics_c_source_for_linuxcnc_and_grblhal import (

@@ -1,4 +1,6 @@
-"""Investigation of a rig in rounds of experiments.
+"""Investigation of a rig.
+
+It goes in rounds of experiments.
 
 Plan, record, diagnose, experiment, again and again; at its end a certificate.
 """

@@ -21,9 +21,13 @@ from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.accepted_measuring_limbs_file import Accepted
-from calib.online.measuring_limb_poses_checked_by_vision import LimbPoses, LimbSource, checked_limb_poses
+from calib.online.measuring_limb_poses_checked_by_vision import (
+    LimbPoses,
+    LimbSource,
+    checked_limb_poses_and_accepted_limbs,
+)
 from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
-from calib.samples.pose_samples import Sampled, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table
@@ -144,8 +148,9 @@ class LimbAcceptance(OneLineRepr):
 def accept_limbs(
     recording: Recording, options: AcceptLimbsOptions = AcceptLimbsOptions(), progress: Progress | None = None
 ) -> LimbAcceptance:
-    """LimbAcceptance by a recording in which both limbs and vision measured, as `rig limbs test` makes it.
+    """Acceptance of measuring limbs by a recording (LimbAcceptance), as `rig limbs test` makes it.
 
+    Both limbs and vision measured in it.
     progress : called with (label, done, of), or None
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
@@ -251,7 +256,7 @@ def measure_poses_by_limbs(
     Raises RigError for limbs that were not accepted, or with which vision no longer agrees
     """
     refuse_unfit_recording_and_make_corner_check(recording, anyway, notice)
-    return MeasuredLimbPoses(recording, *checked_limb_poses(recording, limbs, progress, notice))
+    return MeasuredLimbPoses(recording, *checked_limb_poses_and_accepted_limbs(recording, limbs, progress, notice))
 
 
 BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it

@@ -1,4 +1,4 @@
-"""Next experiment of a diagnosis.
+"""Choice of the next experiment after a diagnosis.
 
 The choice of the plan that answers open questions best.
 """
@@ -133,7 +133,10 @@ def ranked_experiments_and_excluded_plans(
 
 
 def rank_experiments(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Experiments ranked, the best first: by time to settle all questions, then by information per minute."""
+    """Experiments ranked, the best first.
+
+    By time to settle all questions, then by information per minute.
+    """
     return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 
@@ -346,8 +349,9 @@ def next_experiment(
 
 
 def diagnosis_questions(diagnosis: Diagnosis) -> Sequence[Question[object]]:
-    """Questions of what a Diagnosis cannot tell apart, none where it can.
+    """Questions of a Diagnosis.
 
+    They are of what it cannot tell apart, none where it can.
     Raises RigError for a machine of which no plan can be foretold.
     """
     if diagnosis.evidence.family == "joints":

@@ -1,4 +1,6 @@
-"""Kinematics of platforms, on struts or by a kinematics file: poses of axis values, axis values of poses.
+"""Kinematics of a platform, nominal and calibrated: poses of axis values, axis values of poses.
+
+It is of a platform on struts, or of a kinematics file.
 
 The iterations of the forward solution are given on request.
 """

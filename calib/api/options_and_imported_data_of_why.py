@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rig.api import import_recording, load
 from rig.errors import FileError, RigError
-from rig.formats.checked_entries import nearest_known_word
+from rig.formats.checked_toml_and_json_entries import nearest_known_word
 from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
@@ -52,8 +52,9 @@ def require_existing_data_path(data: Path) -> None:
 
 
 def is_recording_folder(data: Path) -> bool:
-    """Whether a path is a recording's folder, though its rig.toml may be missing; among images, frames.csv may also be
-    a table of their times.
+    """Whether a path is a recording's folder.
+
+    Its rig.toml may be missing; among images, frames.csv may also be a table of their times.
     """
     if not is_folder(data) or "frames.csv" not in list_folder(data):
         return False

@@ -23,8 +23,8 @@ from calib.online.learning_from_recording import (
 )
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
 from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
+from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_recordings
-from calib.samples.pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
@@ -189,8 +189,9 @@ def learn_from_samples(
     progress: Progress = lambda *_: None,
     notice: Notice = ignore_notice,
 ) -> LearningResult:
-    """Learn parameters by the filter from samples already measured, as by limbs (LearningResult).
+    """Learn from samples already measured (LearningResult).
 
+    Parameters are learnt by the filter; samples are measured as by limbs.
     state : as of LearnOptions; sampled : of recording
     """
     known = Online.load(state) if state is not None and state.exists() else None

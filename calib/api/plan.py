@@ -1,4 +1,7 @@
-"""Plan of configurations that determine parameters best, keep a promise, or separate effects."""
+"""Plan of configurations to visit.
+
+They determine parameters best, keep a promise, or separate effects.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,7 +11,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.api.plan_for_promise import FEWEST, plan_keeping_promise, visible_marker_counts
+from calib.api.plan_for_promise import FEWEST, make_visible_marker_counter, plan_keeping_promise
 from calib.api.plan_options_and_result import (
     FOR_PARAMETERS,
     LEAST,
@@ -27,7 +30,7 @@ from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan impor
 )
 from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
 from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
-from calib.models.arm.pointing_terms import pointing_term_jacobian
+from calib.models.arm.pointing_terms import pointing_term_jacobian_and_names
 from calib.models.arm.tilt_observations import planned_tilt_jacobian
 from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
@@ -222,7 +225,7 @@ def _plan_of_any(design: Design, mechanism: Commanded, options: PlanOptions, pro
     """PlanResult of the configurations that determine a machine's parameters best, of those in which cameras see it."""
     if options.calibration is not None or options.given is not None or options.criterion != "determinant":
         raise RigError("--calibration, --given and --criterion noise are for hexapods")
-    looked = visible_marker_counts(design)
+    looked = make_visible_marker_counter(design)
     lines, requested, sigma = [], None, options.sigma
     if design.instrument is not None and design.instrument.kind == "direction":
         requested = _pointing_parameters(require_arm(mechanism))
@@ -280,9 +283,11 @@ def _parameters_seen_by_tilt_sensors(design: Design, arm: Arm) -> IndependentPar
 
 def _pointing_parameters(arm: Arm) -> IndependentParameters:
     """The pointing terms of a mount of which directions are measured."""
-    names, _ = pointing_term_jacobian(arm.limits.mean(axis=1)[None], arm)
+    names, _ = pointing_term_jacobian_and_names(arm.limits.mean(axis=1)[None], arm)
     size = np.full(len(names), PLAUSIBLE_ERRORS["rad"])
-    return IndependentParameters(names, ("rad",) * len(names), size, lambda q: pointing_term_jacobian(q, arm)[1], False)
+    return IndependentParameters(
+        names, ("rad",) * len(names), size, lambda q: pointing_term_jacobian_and_names(q, arm)[1], False
+    )
 
 
 def _sigma(value: float) -> str:

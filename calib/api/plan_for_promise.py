@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.plan_options_and_result import SEED, PlanOptions, PlanResult, plan_geometry_and_exclusion_of_lost_poses
 from calib.certification.platform_certification import Progress
 from calib.correction.correction import indices_and_poses_of_solvable_commands
-from calib.models.fewest_configurations import fewest_configurations
+from calib.models.fewest_configurations_for_accuracy import fewest_configurations_for_accuracy
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
@@ -21,8 +21,11 @@ from vision.predict import marker_map, visible_marker_counts_over_all_cameras
 FEWEST = 2  # markers of what moves that a configuration must show
 
 
-def visible_marker_counts(design: Design) -> Callable[[RigidTransform], Integers] | None:
-    """What counts the markers that a design's cameras see at poses (n,), None where an instrument measures."""
+def make_visible_marker_counter(design: Design) -> Callable[[RigidTransform], Integers] | None:
+    """Make the function that counts visible markers at poses (n,).
+
+    Visible to a design's cameras; None where an instrument measures.
+    """
     if not design.cameras or not design.targets:
         return None
     return partial(visible_marker_counts_over_all_cameras, design.cameras, markers=marker_map(design.without_stages()))
@@ -39,23 +42,24 @@ def _unseen(counts: Callable[[RigidTransform], Integers], mechanism: Commanded, 
 
 
 def plan_keeping_promise(design: Design, promise: float, options: PlanOptions, progress: Progress) -> PlanResult:
-    """PlanResult of the fewest configurations that keep a promise (m); of none where it is met without any.
+    """PlanResult of configurations that keep a promise (m).
 
-    Raises RigError for an instrument of directions or distances, and as `fewest_configurations` does
+    They are the fewest; none where it is met without any.
+    Raises RigError for an instrument of directions or distances, and as `fewest_configurations_for_accuracy` does
     """
     mechanism, avoided, sigma = require_axes(design.mechanism), None, options.sigma
     if is_hexapod(mechanism):
         mechanism, avoided = plan_geometry_and_exclusion_of_lost_poses(options, require_hexapod(mechanism))
     elif options.calibration is not None:
         raise RigError("--calibration is for hexapods")
-    elif (counts := visible_marker_counts(design)) is not None:
+    elif (counts := make_visible_marker_counter(design)) is not None:
         avoided = partial(_unseen, counts, mechanism)
     instrument = design.instrument
     if instrument is not None and instrument.kind not in ("pose", "position"):
         raise RigError(f"plans for a promise require poses or positions, not a {instrument.kind}")
     if instrument is not None and instrument.kind == "position":
         sigma = (sigma[0], np.inf)
-    found = fewest_configurations(
+    found = fewest_configurations_for_accuracy(
         mechanism, promise, sigma, options.given, SEED, lambda done, of: progress("choosing", done, of), avoided
     )
     count, visited = len(found.commands), 0 if options.given is None else len(options.given)

@@ -25,11 +25,11 @@ from calib.models.geometry_and_placement_fit_of_several_recordings import remove
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.identification import PRIOR
 from calib.report.recording_and_plan_pages import write_recording_page
+from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     are_base_and_tool_frames_unknown,
     recording_in_machine_frames,
 )
-from calib.samples.pose_samples import Samples, sample_recording
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
 from rig.checks import command_and_pose_disagreements
@@ -270,8 +270,9 @@ def check_and_combine_recordings(
 def refuse_unfit_recording_and_make_corner_check(
     recording: Recording, anyway: bool, notice: Notice
 ) -> Callable[[Corners], None]:
-    """Refuse a recording with spoilt files or poses.
+    """Refuse an unfit recording, and make the check of its corners.
 
+    Unfit are spoilt files or poses.
     Returns the check that refuses its corners once read
     """
     require_no_severe_mistakes_in_files_and_images(recording, anyway, notice)

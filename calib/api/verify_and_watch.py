@@ -43,8 +43,8 @@ from calib.files.calibration_file import SEED
 from calib.models.base_and_tool_displacement_between_recordings import Placement, samples_without_displacement
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_page import Verified, refutes_claim, verification_verdict, write_verification_page
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, sample_recording
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
-from calib.samples.pose_samples import Sampled, Samples, sample_recording
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text

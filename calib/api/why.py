@@ -1,6 +1,6 @@
-"""Why a machine is not where its model says, in five lines.
+"""Why a machine is not where its model says.
 
-From its data, by calibration and diagnosis.
+In five lines, from its data, by calibration and diagnosis.
 """
 
 import math

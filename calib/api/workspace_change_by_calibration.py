@@ -24,7 +24,7 @@ from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import (
 from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.model import mechanisms

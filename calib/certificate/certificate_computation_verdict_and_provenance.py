@@ -51,8 +51,8 @@ from calib.certification.uncertainty_budget import (
 from calib.files import calibration_file
 from calib.files.calibration_file import calibration_json_text
 from calib.models.machine_models import corrected_pose_covariance
+from calib.samples.commanded_and_measured_pose_samples import Sampled
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
-from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, sorted_hashes_of_frames
@@ -205,7 +205,10 @@ CHECK_PERIODICALLY = "Check periodically whether it is still valid: `rig watch c
 
 
 def certificate_verdict(certificate: Certificate) -> Verdict:
-    """Verdict of a certificate: against its tolerances, or what it promises where there are none."""
+    """Verdict of a certificate.
+
+    It is against tolerances, or what is promised where there are none.
+    """
     lines = (
         certificate_sentences_and_quantity_texts.conformity_lines(certificate)
         if certificate.conformity

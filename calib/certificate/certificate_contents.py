@@ -62,7 +62,10 @@ class Conditions:
 
 
 def ranges_of_measured_positions_rotations_and_axes(poses: HeldPoses, mechanism: Commanded) -> Volume:
-    """Volume in which the counted poses of HeldPoses were measured."""
+    """Ranges of positions, rotations and axes over which HeldPoses were measured (Volume).
+
+    Of the poses that count.
+    """
     T = poses.T_base_platform[poses.first]
     places, commands = T.translation, poses.commanded[poses.first]
     turned = float((T.rotation.mean().inv() * T.rotation).magnitude().max()) if poses.rotations else None

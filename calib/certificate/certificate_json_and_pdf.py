@@ -215,7 +215,10 @@ class _Paper:
 
 
 def write_certificate_pdf(path: Path, certificate: Certificate) -> None:
-    """Write a certificate as PDF, whole or not at all."""
+    """Write a certificate as PDF.
+
+    It is written whole or not at all.
+    """
     buffer = io.BytesIO()
     title = f"Certificate of {certificate.machine}, {certificate.provenance['created'][:10]}"
     with PdfPages(buffer, metadata={"Title": title, "CreationDate": None}) as pages:

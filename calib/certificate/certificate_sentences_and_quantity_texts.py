@@ -1,4 +1,4 @@
-"""Sentences of a certificate.
+"""Sentences of a certificate, and texts of its quantities.
 
 Scale, promise, volume, basis, conformity, ISO figures and uncertainties.
 """
@@ -16,7 +16,10 @@ from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UN
 
 
 def micrometre_text(value: float) -> str:
-    """Text of a length in micrometres, to two significant digits."""
+    """Text of a length in micrometres.
+
+    It has two significant digits.
+    """
     return f"{value * 1e6:.1f} um" if value < 1e-3 else f"{value * 1e3:.3f} mm"
 
 
@@ -31,7 +34,10 @@ def _percentage_text(value: float) -> str:
 
 
 def length_scale_line(certificate: Contents) -> str:
-    """Line on the length scale that the certificate rests on: whose it is."""
+    """Line on the length scale that a certificate rests on.
+
+    It says whose it is.
+    """
     holder = certificate.conditions.frame
     if certificate.options.scale is None:
         return (
@@ -82,7 +88,10 @@ def measured_volume_line(certificate: Contents) -> str:
 
 
 def promise_basis_lines(certificate: Contents) -> list[str]:
-    """Lines on what a certificate's promise rests on: poses, conditions and recordings."""
+    """Lines on what a certificate's promise rests on.
+
+    They are poses, conditions and recordings.
+    """
     p, r = certificate.promise, certificate.repeatability
     lines = [
         f"From {p.n} distinct configurations, none of which was used in fitting; as measured, noise "
@@ -152,7 +161,10 @@ def _median(c: Contents) -> float:
 
 
 def conformity_lines(certificate: Contents) -> list[str]:
-    """Lines on conformity with the tolerances, together and each alone."""
+    """Lines on conformity with the tolerances.
+
+    They are together and each alone.
+    """
     if not certificate.conformity:
         return []
     first = certificate.conformity[0]
@@ -227,7 +239,10 @@ def iso230_symbol_values(axis: AxisTest) -> list[tuple[str, float | None]]:
 
 
 def expanded_uncertainty_text(expanded_uncertainty: Expanded) -> str:
-    """Text of an expanded uncertainty, that of the whole budget, with its coverage factors."""
+    """Text of an expanded uncertainty.
+
+    It is that of the whole budget, with its coverage factors.
+    """
     position = f"U = {micrometre_text(expanded_uncertainty.position)} (k = {expanded_uncertainty.k[0]:.2f})"
     return (
         position

@@ -28,8 +28,8 @@ from calib.certification.noise_free_errors_and_tolerance_limits import (
 )
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS, GUARD, OPEN
 from calib.models.arm.pointing_terms import ARCSEC
+from calib.samples.commanded_and_measured_pose_samples import Sampled
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
-from calib.samples.pose_samples import Sampled
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import nan_to_null
@@ -209,7 +209,10 @@ class PointingCertificate:
 
 
 def angle_text(value: float) -> str:
-    """Text of a small angle, in arcsec or arcmin."""
+    """Text of an angle.
+
+    It is in arcsec or arcmin; the angle is small.
+    """
     return f"{value / ARCSEC:.2f} arcsec" if value < 600 * ARCSEC else f"{value / ARCSEC / 60:.1f} arcmin"
 
 

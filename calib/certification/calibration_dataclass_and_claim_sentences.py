@@ -12,12 +12,12 @@ from calib.certification.held_out_errors import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     Confounds,
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,
 )
-from calib.samples.pose_samples import Sampled, Samples
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import Workspace
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
@@ -32,7 +32,10 @@ WHERE = {"base": "base, or the instrument,", "platform": "target on the platform
 
 
 def claim_lines(claim: Claim) -> list[str]:
-    """Lines on a claim, the first of which is its summary."""
+    """Lines on a claim.
+
+    The first is its summary.
+    """
     configurations = f"{claim.distinct} distinct configuration{'' if claim.distinct == 1 else 's'}"
     rest = claim.unknowns - claim.determined
     determined = (
@@ -114,7 +117,10 @@ def verification_line(held_out: HeldOut, claim: Claim | None, verification: Veri
 
 
 def claim_check_result_text(verification: Verification) -> str:
-    """Text of a check's result: the claim is kept, NOT kept, or exceeded by what its unexplained part permits."""
+    """Text of the result of a claim's check.
+
+    The claim is kept, NOT kept, or exceeded by what its unexplained part permits.
+    """
     if verification.kept:
         return "kept"
     within = (

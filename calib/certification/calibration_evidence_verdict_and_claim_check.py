@@ -23,8 +23,8 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
-from calib.samples.pose_samples import Samples
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.report.verdict_refutations_and_result_display import (
     LOOK,
@@ -108,7 +108,7 @@ def calibration_evidence(
 def evidence_with_displaced_base_or_tool(
     evidence: Evidence, names: Sequence[str], recording_name: str = ""
 ) -> Evidence:
-    """Evidence with displaced base or tool.
+    """Evidence with a displaced base or tool added.
 
     With what stands elsewhere in a recording though its place is stated ("base", "tool").
     recording_name : the recording, where the sentence names it
@@ -162,7 +162,10 @@ def evidence_with_verification(
 def verify_claim_on_samples(
     calibration: Calibration, samples: Samples, rng: np.random.Generator
 ) -> Verification | None:
-    """Verification of a calibration's claim on samples, None where no factor is claimed."""
+    """Verification of a calibration's claim on samples.
+
+    None where no factor is claimed.
+    """
     if calibration.claim is None or calibration.claim.after is None:
         return None
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
@@ -172,8 +175,9 @@ def verify_claim_on_samples(
 def evidence_with_confounds(
     evidence: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], recording_names: str
 ) -> Evidence:
-    """Evidence with what the designs of held-out recordings confound, where its own recording's is not known.
+    """Evidence with confounds of held-out recordings added.
 
+    They are what the designs of these confound, where the calibration's own recording's is not known.
     Only what that does not separate can have gone into the correction. recording_names : the recordings, in words
     """
     if calibration.confounds is not None:
@@ -241,8 +245,9 @@ class AgainstClaim:
 def claim_verification_and_excess_errors_of_recording(
     calibration: Calibration, recording_name: str, samples: Samples, rng: np.random.Generator
 ) -> AgainstClaim | None:
-    """Check of a calibration's claim on a recording's samples, None where no factor is claimed.
+    """Verification of a claim on a recording's samples, and errors in excess of noise (AgainstClaim).
 
+    None where no factor is claimed. The errors are RMS, m and rad.
     recording_name : its name
     """
     found = verify_claim_on_samples(calibration, samples, rng)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.certification.held_out_errors import pose_errors
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.pose import adjoint, exp
 from rig.report.verdict_refutations_and_result_display import REFUTES

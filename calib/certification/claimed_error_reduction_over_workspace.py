@@ -1,4 +1,4 @@
-"""Claim of a calibration's error over the whole workspace.
+"""Claimed reduction of pose errors over the workspace by a calibration.
 
 A posterior at configurations not recorded.
 
@@ -27,7 +27,7 @@ from calib.models.platform.identification import (
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
 from rig.model.mechanisms.file_mechanism import SCALE
@@ -253,7 +253,7 @@ def strut_machine_workspace_claim(
 
 
 def workspace_commands_and_corrected_poses(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
-    """Samples of the workspace.
+    """Workspace commands, and the corrected machine's poses at them.
 
     Returns (commands (m, axes) m, poses (m,) of the corrected machine)
     """

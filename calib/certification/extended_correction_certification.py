@@ -64,7 +64,7 @@ from calib.models.platform.identification import (
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
+from calib.samples.commanded_and_measured_pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
@@ -118,8 +118,9 @@ def certify_extended_correction(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """Certify a correction extended over the space, on held-out configurations.
+    """Certify an extended correction on held-out configurations.
 
+    It is extended over the space.
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST
     configurations besides it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses'
     covariance, if that is a significant gain against doing without. Raises RigError where the way asked for does not
@@ -188,8 +189,9 @@ def certify_interpolation_method(
     progress: Progress,
     refusal_reason: str | None = None,
 ) -> tuple[Certified, tuple[Tried, ...]]:
-    """Certified extension by one interpolation method, or the best of all by held-out errors; and those tried.
+    """Certify an interpolation method for an extension.
 
+    It is one method, or the best of all by held-out errors; those tried are returned too.
     basis : nominal, label (n,) of the samples, the geometry; refusal_reason : why none is to be taken of all ways, or
         None
     """

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.correction.correction import AnyCorrection
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.pose import direction_difference, pose_difference, rms_uncertainty
@@ -116,7 +116,10 @@ def errors_before_and_after_correction(correction: AnyCorrection, samples: Sampl
 
 
 def predicted_poses(correction: AnyCorrection, samples: Samples) -> RigidTransform:
-    """Poses (n,) that the corrected model predicts for samples, each of its own hand."""
+    """Poses (n,) that the corrected model predicts for samples.
+
+    Each is of its own hand.
+    """
     if samples.hand is None:
         return correction.predict(samples.effective)
     matrices = np.empty((len(samples), 4, 4))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
 from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
-from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
+from calib.samples.commanded_and_measured_pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
@@ -30,8 +30,9 @@ LEAST = 8
 
 
 def configuration_numbers(commanded: Floats, ranges: Floats) -> Integers:
-    """Configuration number of each command (n,), counted in the order of first visits.
+    """Configuration number of each command (n,).
 
+    They are counted in the order of first visits.
     commanded : (n, axes) m or rad; ranges : (axes, 2) of the axes
     """
     scaled = np.asarray(commanded, float) / (SAME * np.ptp(ranges, axis=1))
@@ -54,7 +55,10 @@ def axis_travel_limits(mechanism: Parallel | Arm | Chain) -> Floats:
 
 
 def time_block_folds_of_configurations(label: Integers, count: int) -> Integers:
-    """Folds of configurations (n,): whole stretches in time, no configuration in two folds."""
+    """Folds of configurations (n,) by blocks of time.
+
+    They are whole stretches in time, with no configuration in two folds.
+    """
     return time_block_folds(label.max() + 1, count)[label]
 
 

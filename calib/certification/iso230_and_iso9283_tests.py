@@ -62,7 +62,10 @@ class AxisTest:
 
 
 def iso230_axis_tests(correction: AnyCorrection, poses: HeldPoses) -> tuple[AxisTest, ...]:
-    """ISO 230-2 test of each axis that was moved alone from both sides."""
+    """ISO 230-2 test of each axis.
+
+    It is of axes that were moved alone from both sides.
+    """
     if not poses.rotations:
         return ()
     J = _to_axes(correction, poses)
@@ -315,8 +318,9 @@ def speeds_and_loads_of_test(
     load: tuple[float, float] | None,
     rated_load: float | None,
 ) -> Duty:
-    """Speeds and loads (Duty) of a test: those of held-out poses, and those rated.
+    """Speeds and loads (Duty) of a test.
 
+    They are those of held-out poses, and those rated.
     recordings : in the order of poses.recording; load : as logged, kg; rated_load : kg, as stated
     """
     top = design.actuator.max_speed

@@ -138,7 +138,7 @@ def has_six_measuring_limbs(design: Design) -> bool:
 
 
 def fit_redundant_limb_checks(limbs: Limbs, stated: MeasuringLimbs, lengths: Floats) -> Checks:
-    """Redundant limb checks.
+    """Checks of redundant limbs, fitted to lengths.
 
     Joints and zeros of all limbs but the six, fitted to lengths (n, limbs) m.
     """
@@ -263,8 +263,9 @@ def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[M
 
 
 def first_unclosed_limb(limbs: Limbs, lengths: Floats) -> UnclosedLimb | None:
-    """First limb whose loop closure error is beyond noise at several poses in a row (UnclosedLimb).
+    """First limb whose loop does not close (UnclosedLimb).
 
+    Its loop closure error is beyond noise at several poses in a row.
     None where all close.
     lengths : (n, limbs) m
     Raises NotConverged for readings that close on no pose

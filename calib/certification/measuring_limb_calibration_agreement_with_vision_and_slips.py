@@ -1,4 +1,4 @@
-"""Measuring limb identification, and agreement with vision.
+"""Calibration of measuring limbs, their agreement with vision, and their slips.
 
 Limbs are calibrated against vision, and agreement is on held-out poses; slips of a limb.
 
@@ -22,7 +22,7 @@ from calib.certification import loop_closure_checks_of_redundant_measuring_limbs
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
 from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Design, MeasuringLimbs
@@ -210,8 +210,9 @@ def vision_agrees_with_limbs(
     limb_covariance: Floats,
     common_error_columns: Floats,
 ) -> bool:
-    """Whether vision agrees with the limbs on one pose, within their covariances (6, 6).
+    """Whether vision agrees with the limbs on one pose.
 
+    It does within their covariances (6, 6).
     An occasional check. common_error_columns : (6, k) errors common to the limbs' poses
     """
     d = pose_difference(T_vision, T_limbs)

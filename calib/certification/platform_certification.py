@@ -53,7 +53,7 @@ from calib.models.platform.identification import (
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse
+from calib.samples.commanded_and_measured_pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -198,7 +198,10 @@ def held_out_errors_before_and_after_corrections(
 def draw_strut_deviation_sizes_beyond_geometry(
     samples: Samples, geometry: Certified, rng: np.random.Generator
 ) -> StrutDeviationSizes:
-    """Sizes of strut deviations of samples beyond a geometry alone, each visit a sample."""
+    """Draw the sizes of strut deviations beyond a geometry.
+
+    They are of samples, beyond the geometry alone, each visit a sample.
+    """
     nominal = geometry.correction.nominal
     return draw_strut_deviation_sizes(
         geometry.found,
@@ -266,7 +269,10 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
 
 
 def platform_workspace_claim(samples: Samples, certified: Certified, rng: np.random.Generator) -> Claim:
-    """Claim of a certified platform over its workspace: each configuration counts once."""
+    """Claim of a certified platform over its workspace.
+
+    Each configuration counts once.
+    """
     each, found = _each_configuration(samples, certified)
     return strut_machine_workspace_claim(
         found,

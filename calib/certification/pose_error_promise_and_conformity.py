@@ -189,8 +189,9 @@ def promise_by_cell(
     units: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Cell, ...]:
-    """Pose error promise of each cell of the volume, cut along its longest side while both halves have poses enough.
+    """Pose error promise of each cell.
 
+    The volume is cut along its longest side while both halves have poses enough.
     Each cell's promise has the confidence by itself. The arguments are those of `pose_error_promise`
     """
     least = noise_free_errors_and_tolerance_limits.least_sample_size(coverage, confidence)

@@ -29,7 +29,7 @@ from calib.certification.strut_deviation_size_sampler_and_possible_machine_error
 from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
 from calib.models.platform.identification import Identified
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (

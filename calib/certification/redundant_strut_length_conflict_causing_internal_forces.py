@@ -1,4 +1,4 @@
-"""Internal forces of a platform on more than six struts, by how far their lengths contradict each other.
+"""Conflict between the lengths of redundant struts, which causes internal forces.
 
 Lengths that no pose closes hold the platform all the same: struts give way, and press and pull against each other. What
 each gives way by, times its stiffness, is its internal force. It is determined where followers read how long they would
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.formats.numbers_and_units import quantity_text
 from rig.model.mechanisms import redundant_strut_best_six_legs_and_loop_closures
@@ -37,8 +37,9 @@ class StrutConflict:
 
 
 def strut_conflict(calibration: Calibration, samples: Samples, recorded_mechanism: Mechanism) -> StrutConflict | None:
-    """StrutConflict of a calibration at samples that were not used for it.
+    """Conflict between the lengths of redundant struts (StrutConflict).
 
+    At samples that were not used for the calibration.
     recorded_mechanism : that of their recording. None for six struts, and where it had no followers: then all lengths
     are commanded, and none is read
     """

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_travel_limits
 from calib.correction.correction import indices_and_poses_of_solvable_commands
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
@@ -30,7 +30,7 @@ Use = Callable[[Floats], tuple[Floats, Floats]]
 def strut_load_signs_with_sign_mean_and_variance(
     samples: Samples, nominal: Parallel
 ) -> list[tuple[Floats, Use] | None]:
-    """Signs (n,) of each strut's load at the samples.
+    """Signs (n,) of each strut's load at the samples, with the sign's mean and variance.
 
     Positive where it pushes, each with a `Component.use` of it.
 

@@ -1,4 +1,4 @@
-"""Strut deviation sizes, and possible machines.
+"""Sampler of strut deviation sizes, and pose errors of possible machines.
 
 Sizes by component, and possible machines with their pose errors over the workspace.
 

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, Repeatability
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table
 from rig.model.pose import pose_difference

@@ -30,7 +30,7 @@ from calib.models.platform.identification import (
     inverse_strut_length_jacobian,
     pose_parameter_jacobian,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
@@ -327,8 +327,9 @@ def require_commands_in_axis_ranges(commands: Floats, mechanism: Parallel | Arm 
 
 
 def identify_geometry(samples: Samples, nominal: Parallel, similar_fit: Identified | None = None) -> Identified:
-    """Geometry identified from samples alone, no remainder taken off.
+    """Geometry identified from samples.
 
+    No remainder is taken off.
     similar_fit : Identified of most of the same samples, whose prior is taken over, or None: these samples show how
     good the owner's figures are. Raises NotEnoughData as `identify_platform` does
     """
@@ -347,7 +348,7 @@ def fit_geometry_and_remainder_of_correction(
     geometry: Identified | None = None,
     axes_with_remainder: Booleans | None = None,
 ) -> tuple[Correction[Parallel, Radial], Identified]:
-    """Correction calibrated on samples.
+    """Correction with geometry and remainder fitted to samples.
 
     Geometry fitted, then its remainder extended.
     samples : Samples; nominal : the owner's

@@ -1,4 +1,4 @@
-"""Interpolation methods by name, and fields of correction summands.
+"""Correction fields: interpolation methods by name, fitting, combination and JSON.
 
 The methods fit these fields over the space to correction summands at samples.
 
@@ -32,10 +32,10 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
     estimate_tolerance_of_stated_geometry,
 )
 from calib.models.platform.identification import PRIOR, Identified, identify_platform
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -273,8 +273,9 @@ def correction_with_additional_pass(correction: AnyCorrection, field: Field | No
 
 
 def residual_pose_tangents_of_pass(samples: Samples, correction: AnyCorrection, space: PoseSpace) -> FieldSamples:
-    """Residual pose tangents that an earlier pass leaves: from its corrected poses to the measured ones.
+    """Residual pose tangents that an earlier pass leaves.
 
+    From its corrected poses to the measured ones.
     Over the coordinates of a pose space; of an arm or a chain all six of them, since these are the hand's and not the
     base's. Source: configuration-space patent, [0035]
     """
@@ -301,7 +302,10 @@ def home_pose(mechanism: Parallel) -> RigidTransform:
 
 
 def pose_space_of_mechanism(mechanism: Parallel) -> PoseSpace:
-    """Pose space of a mechanism on struts: the coordinates in which its poses differ, rotations counted from home."""
+    """Pose space of a mechanism.
+
+    It is on struts; coordinates are those in which its poses differ, rotations counted from home.
+    """
     return PoseSpace(home_pose(mechanism), mechanism.pose_coordinates)
 
 
@@ -334,13 +338,17 @@ def fit_correction_summand_field(samples: FieldSamples, kind: str, smoothness_fr
 def correction_with_field(
     nominal: Parallel, identified: Identified, field: Field | None
 ) -> Correction[Parallel, Radial]:
-    """Correction of an identified geometry with a Field for its remainder, or with none."""
+    """Correction of an identified geometry with a Field.
+
+    The field is for its remainder; None for none.
+    """
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
 def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) m of strut commands corrected in a single step, not to the fixed point.
+    """Errors (RMS, greatest) m of commands corrected in a single step.
 
+    They are those of struts, not taken to the fixed point.
     The single step is X + KSF(X).
 
     Source: configuration-space patent, [0030], [0091]

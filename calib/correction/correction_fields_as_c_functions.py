@@ -81,13 +81,14 @@ def _nested(numbers: list[str], width: int) -> list[str]:
     return [f"    {{{', '.join(numbers[i : i + width])}}}," for i in range(0, len(numbers), width)]
 
 
-def define_field_functions(tables: CTables, correction_field: Field) -> list[str]:
-    """Define the C functions that add a Field's value, and return their names.
+def define_c_functions_of_field(tables: CTables, correction_field: Field) -> list[str]:
+    """Define the C functions that add a Field's value.
 
+    Returns their names.
     Raises RigError for a kind that no C file states.
     """
     if isinstance(correction_field, SummedPasses):
-        return [name for part in correction_field.fields for name in define_field_functions(tables, part)]
+        return [name for part in correction_field.fields for name in define_c_functions_of_field(tables, part)]
     if isinstance(correction_field, RadialMap):
         return [
             name
@@ -135,7 +136,7 @@ def define_field_functions(tables: CTables, correction_field: Field) -> list[str
 
 def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
     """Name of the function that adds a map that fades beyond a part of the space."""
-    names, number = define_field_functions(tables, one.field), tables.number()
+    names, number = define_c_functions_of_field(tables, one.field), tables.number()
     bounds = (("low", one.part.low), ("high", one.part.high), ("fade", one.part.fade))
     for part, values in bounds:
         tables.array(f"{part}_{number}", np.broadcast_to(values, tables.axes))
@@ -152,8 +153,9 @@ def _restricted(tables: CTables, one: RestrictedMap) -> list[str]:
 
 
 def define_c_function_of_gaussian_process(tables: CTables, part: Radial) -> list[str]:
-    """C functions that add a Gaussian process (radial functions).
+    """Define the C function of a Gaussian process.
 
+    It adds radial functions.
     Returns the name of the one; its samples and weights stand in a table
     """
     own, whole = part.sizes**2

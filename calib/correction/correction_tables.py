@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correction.correction import AnyCorrection
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
@@ -58,9 +58,9 @@ def correction_summands_by_nearest_axis_values(
     covariance: Floats,
     expected_model_error: Floats,
 ) -> CorrectionSummands:
-    """Correction summands of axes at samples: commands less those nearest values at which a model meets the
-    measurements.
+    """Correction summands of axes by the nearest axis values.
 
+    They are at samples, commands less those nearest values at which a model meets the measurements.
     An axis has one only as far as its pose determines it (see LOOSE) and the model is near. What too few axes,
     positions alone, or more axes than freedoms leave open takes the least values. Variances of what is not determined
     are those of the worst that is.
@@ -142,8 +142,9 @@ def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables
 
 
 def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float = FILL) -> tuple[Floats, Floats]:
-    """Correction table on an even grid.
+    """Correction table on a grid.
 
+    The grid is even.
     x + k is to be commanded for x.
 
     Returns (x, k), both (vertices, axes) m or rad

@@ -1,4 +1,4 @@
-"""Correction of a calibration as C source.
+"""Correction of a hexapod as C source, and parts that C files of all machines share.
 
 One C99 file, for a controller that computes its own commands.
 
@@ -20,7 +20,7 @@ from calib.correction.correction import AnyCorrection
 from calib.correction.correction_fields_as_c_functions import (
     CTables,
     define_c_function_of_gaussian_process,
-    define_field_functions,
+    define_c_functions_of_field,
     wrapped_number_lines,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field
@@ -284,7 +284,7 @@ def controller_terms_of_compensable_effects(correction: AnyCorrection, physics: 
 
 
 def effect_compensation_c_functions(effects: EffectsInC) -> tuple[str, ...]:
-    """C functions that undo effects in commands."""
+    """C functions that compensate effects in commands."""
     if not effects.terms:
         return (c_source_part("no effects"),)
     statements = [line for term in effects.terms for line in term.statements]
@@ -303,14 +303,15 @@ def effect_compensation_c_functions(effects: EffectsInC) -> tuple[str, ...]:
 
 
 def append_add_remainder_c_function(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
-    """Append the C function add_remainder, the residual correction over joint space; whether there is any.
+    """Append the C function add_remainder.
 
+    It is the residual correction over joint space. Returns whether there is any.
     axis_functions : names of the functions that add the remainder of each axis that has one
     Returns whether there is any
     """
     names = [name for names in axis_functions for name in names]
     if extension is not None:
-        names += define_field_functions(tables, extension)
+        names += define_c_functions_of_field(tables, extension)
     if names:
         tables.lines += [
             "/* The summand over the configuration space at commands x, m or rad. */",
@@ -330,7 +331,7 @@ def _pose_maps(tables: CTables, correction: AnyCorrection) -> list[str]:
         if one.coordinates != tuple(range(6)):
             raise RigError("a map in pose space over fewer than six coordinates is in no C file")
         number = tables.number()
-        names = define_field_functions(tables, one.field)
+        names = define_c_functions_of_field(tables, one.field)
         tables.function(f"map_{number}", *(f"{name}(x, weight, out);" for name in names))
         tables.array(f"home_{number}", one.home.rotation.as_matrix(), shape="[3][3]")
         statements.append(

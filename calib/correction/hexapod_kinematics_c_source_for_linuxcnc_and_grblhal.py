@@ -25,7 +25,7 @@ from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG
 from rig.formats.exporters.geometry_compensation_and_camera_file_exports import UNITS
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod

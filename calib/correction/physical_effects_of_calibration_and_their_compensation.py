@@ -1,6 +1,6 @@
-"""Compensation of known physics in commands.
+"""Physical effects of a calibration, and their compensation in commands.
 
-Effects stored with a calibration, and commands that compensate them.
+Effects are stored with a calibration, and commands compensate them.
 
 The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
 sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point
@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correction.correction import AnyCorrection
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import Route
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
@@ -169,8 +169,10 @@ class Physics:
 def samples_with_effects(
     design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None
 ) -> Samples:
-    """Samples with effects applied to their commands, or taken off an arm's poses beyond its joints, in place of those
-    that were before.
+    """Samples with effects.
+
+    They are applied to their commands, or taken off an arm's poses beyond its joints, in place of those that were
+    before.
     """
     t, T = samples.t, samples.T_base_platform
     if is_parallel(design.mechanism):
@@ -190,8 +192,9 @@ def samples_with_effects(
 
 
 def poses_with_predicted_rotations(design: Design, samples: Samples) -> RigidTransform:
-    """Poses (n,) of an arm's samples; where positions alone were measured, rotations are predicted by its joints.
+    """Poses (n,) of an arm's samples, with predicted rotations.
 
+    Where positions alone were measured, the joints predict rotations.
     Else they are those measured.
     """
     T = samples.T_base_platform

@@ -15,7 +15,7 @@ from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.identify.bounded_least_squares_and_robust_fit import Linear, fit_least_squares
 from calib.models.platform.identification import PRIOR, Identified, pose_parameter_jacobian
-from calib.samples.pose_samples import Sampled, Samples
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Camera, Design

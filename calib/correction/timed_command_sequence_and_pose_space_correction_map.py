@@ -92,7 +92,10 @@ def pose_coordinates(T: RigidTransform, home: RigidTransform) -> Floats:
 
 
 def pose_error_tangents(T_expected: RigidTransform, T_measured: RigidTransform) -> Floats:
-    """Tangents (n, 6) of pose errors, m and rad, on the right: from the expected to the measured pose."""
+    """Tangents (n, 6) of pose errors, m and rad.
+
+    They are on the right, from the expected to the measured pose.
+    """
     return log(T_expected.inv() * T_measured)
 
 
@@ -152,8 +155,9 @@ class Pace:
 
 
 def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: Floats | None = None) -> Route:
-    """Route through commands (n, axes) timed by a Pace: when the axes leave, arrive and wait.
+    """Route through commands (n, axes) timed by a Pace.
 
+    It says when the axes leave, arrive and wait.
     start : (axes,); approach_offsets : (n, axes) of approaches, zero for none. Raises Unreachable, listing the poses
         that come too soon
     """
@@ -194,7 +198,10 @@ def timed_route(pace: Pace, commands: Floats, start: Floats, approach_offsets: F
 
 
 def untimed_route(commands: Floats, start: Floats) -> Route:
-    """Route through commands (n, axes) without times: in order from start (axes,), each held until at rest."""
+    """Route through commands (n, axes) without times.
+
+    They are in order from start (axes,), each held until at rest.
+    """
     return timed_route(
         Pace(cast(Floats, AT_REST * np.arange(1, len(commands) + 1)), 0.0, np.abs(commands - start).max() + 1.0, None),
         commands,

@@ -52,8 +52,9 @@ def separation_of_two_effects_by_plan(
     effects: list[Effect],
     sigma: tuple[float, float],
 ) -> Separation:
-    """Separation of two effects that move a machine by one plan, each effect as large as expected.
+    """Separation of two effects by one plan.
 
+    They move a machine, and each is as large as expected.
     t : (n,) s exposures; sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what
         nobody commands, and what the machine raises
     """

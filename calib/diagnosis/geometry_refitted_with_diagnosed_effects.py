@@ -1,4 +1,4 @@
-"""Findings of a diagnosis refitted with the geometry.
+"""Geometry refitted together with the effects that a diagnosis found.
 
 For a calibration, on platforms and arms.
 """
@@ -47,7 +47,7 @@ from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_
 from calib.models.arm.error_model_and_observations import observations_of_samples, parameter_names
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
 from calib.models.platform.identification import Loops
-from calib.samples.pose_samples import Sampled, Samples, samples_of_movable_coordinates
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, samples_of_movable_coordinates
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import MOTION_STAGES, Effect
@@ -55,7 +55,7 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, 
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading, machine_geometry_and_effects_json_file
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.output_files.staged_folder_and_manifest import load_manifest as manifest
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, require_arm, require_parallel

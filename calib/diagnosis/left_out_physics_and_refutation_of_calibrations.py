@@ -1,4 +1,4 @@
-"""Physics that a calibration leaves out.
+"""Physics that a calibration leaves out, and refutation of calibrations by it.
 
 Effects found by diagnosing its recording, stated in its claim.
 
@@ -38,7 +38,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import finding_size_text, finding_title
 from calib.files import calibration_file
 from calib.files.calibration_file import SEED
-from calib.samples.pose_samples import Sampled, Samples
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import Marks, frames_with_known_hashes
@@ -150,8 +150,9 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
 def refuted_calibrations(
     report: Report, recording_marks: Marks, calibration_paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
-    """Calibrations of a recording that are refuted, since they leave out what a Report of it finds ([Refutation]).
+    """Calibrations of a recording that are refuted ([Refutation]).
 
+    They leave out what a Report of it finds.
     recording_marks : marks of the recording; calibration_paths : files that may be calibrations, all else is
         passed over; samples : Samples of the recording, None where nothing was commanded
     """

@@ -1,4 +1,6 @@
-"""Smooth curves over time, travel or a sensor, chosen for axis errors that a diagnosis leaves without a name.
+"""Smooth curves for axis errors that a diagnosis leaves unexplained.
+
+Curves over time, travel or a sensor are chosen for them.
 
 Curves are tried at the axes that have such a finding, one after the other, the largest finding first. Each is fitted
 with geometry and effects together, and the next is asked of what it leaves.
@@ -42,7 +44,10 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     fit_coordinates_of_effects,
 )
 from rig.effects.framework.parameters_covariates_and_marker_table import Context
-from rig.effects.framework.unmodelled_curve_and_formula_quantities import covariate_words, curve_classes_by_covariate
+from rig.effects.framework.unmodelled_curve_and_formula_quantities import (
+    curve_classes_by_covariate,
+    words_for_covariate_of_curve_effect,
+)
 from rig.model.motion_simulation import motion_of_commands
 
 SIZES = np.geomspace(1e-7, 1e-2, 26)  # prior standard deviations of a curve, in the axis' unit
@@ -279,7 +284,7 @@ def _undone(
             add(curve.effect)
             if done is None:
                 done = _Undone([], curve.before, curve.after)
-            done.names.append(covariate_words(curve.effect))
+            done.names.append(words_for_covariate_of_curve_effect(curve.effect))
             done.after = curve.after
         out.append(
             one

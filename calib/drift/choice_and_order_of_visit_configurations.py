@@ -1,4 +1,4 @@
-"""Configurations of a visit.
+"""Choice and order of the configurations of a visit.
 
 They are chosen and ordered to show and separate changes of the machine.
 
@@ -16,8 +16,8 @@ from calib.drift.visit_equations_and_reference import (
     AT_ORIGIN,
     GAP,
     base_motion_columns,
-    change_names,
-    change_units,
+    machine_change_names,
+    machine_change_units,
     pose_jacobian_by_machine_changes,
     require_watchable_calibrated_machine,
 )
@@ -62,7 +62,7 @@ class Chosen:
         """
         axes, units = len(self.mechanism.axes), np.array(axis_units(self.mechanism))
         words = ("a strut's", "nut") if has_struts(self.mechanism) else ("an axis'", "play")
-        *_, growth, sag = change_names(self.mechanism)
+        *_, growth, sag = machine_change_names(self.mechanism)
         rows: list[tuple[str, Integers, str]] = []
         for what, first in (("zero", 0), (words[1], axes)):
             for unit in dict.fromkeys(units.tolist()):
@@ -112,7 +112,7 @@ def choose_visit_configurations(
             break
     if progress:
         progress(1, 1)
-    own = np.array([*(ZERO,) * len(mechanism.axes), *change_units(mechanism)])
+    own = np.array([*(ZERO,) * len(mechanism.axes), *machine_change_units(mechanism)])
     chosen, even = (
         np.sqrt(np.diag(np.linalg.inv(information.information(some)))[: len(own)]) * own
         for some in (order, list(range(count)))

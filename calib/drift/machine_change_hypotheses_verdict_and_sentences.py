@@ -1,4 +1,4 @@
-"""Evidence of a change between visits, and sentences on it.
+"""Hypotheses of machine changes between visits, the verdict on them, and its sentences.
 
 Hypotheses, and the verdict (Shiryaev-Roberts procedure).
 
@@ -20,7 +20,7 @@ import scipy
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 
-from calib.drift.visit_equations_and_reference import Equations, Reference, change_names, change_units
+from calib.drift.visit_equations_and_reference import Equations, Reference, machine_change_names, machine_change_units
 from calib.models.covariance_parameters import covariance_parameters
 from rig.array_and_json_types import Floats
 from rig.model.arm_hands_effect_places_and_tolerances import Place
@@ -59,7 +59,11 @@ class Hypothesis:
 
 def change_hypotheses(reference: Reference, mechanism: Commanded) -> list[Hypothesis]:
     """Hypotheses of all changes that may happen to a rig with a mechanism."""
-    machine, names, axes = covariance_parameters(mechanism), change_names(mechanism), axis_place_texts(mechanism)
+    machine, names, axes = (
+        covariance_parameters(mechanism),
+        machine_change_names(mechanism),
+        axis_place_texts(mechanism),
+    )
     geometry, units = 6 * len(reference.places), axis_units(mechanism)
     own = geometry + len(machine.names)
     moving: list[tuple[Place, list[int]]] = [
@@ -91,7 +95,7 @@ def change_hypotheses(reference: Reference, mechanism: Commanded) -> list[Hypoth
     kinds = [*(("nut", GAP_SIZE, unit) for unit in units), ("temperature", GROWTH_SIZE, ""), ("payload", SOFT_SIZE, "")]
     found += [
         (kind, name, [own + k], size, count, count, None, unit)
-        for k, ((kind, size, unit), name, count) in enumerate(zip(kinds, names, change_units(mechanism)))
+        for k, ((kind, size, unit), name, count) in enumerate(zip(kinds, names, machine_change_units(mechanism)))
     ]
     members = Counter(kind for kind, *_ in found)
     return [
@@ -121,7 +125,7 @@ def prior_information_of_constants_between_visits(
         block_diag(
             np.diag(places**2),
             vectors / values @ vectors.T,
-            np.diag((np.array(change_units(mechanism)) / left_out) ** 2),
+            np.diag((np.array(machine_change_units(mechanism)) / left_out) ** 2),
         )
     )
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.covariance_parameters import covariance_parameters, pose_scatter_covariance
-from calib.samples.pose_samples import Samples, pose_covariance_pseudoinverse, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Samples, pose_covariance_pseudoinverse, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
@@ -34,7 +34,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 from rig.model.pose import exp, log, skew
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import POSE_SCALE
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     whitened_residuals_and_derivatives,
@@ -128,21 +128,28 @@ AT_ORIGIN = Platform(
 )  # where nobody states the platform's: the added load then sits at its origin
 
 
-def change_names(mechanism: Commanded) -> tuple[str, ...]:
-    """Names of the changes of a machine beyond its geometry: play of each axis, growth, sag."""
+def machine_change_names(mechanism: Commanded) -> tuple[str, ...]:
+    """Names of the changes of a machine.
+
+    They are beyond its geometry: play of each axis, growth, sag.
+    """
     axes, struts = axis_place_texts(mechanism), has_struts(mechanism)
     play = tuple(f"nut of {axis}" if struts else f"play of {axis}" for axis in axes)
     return (*play, "growth of all struts" if struts else "growth of all members", "sag under added load")
 
 
-def change_units(mechanism: Commanded) -> tuple[float, ...]:
-    """Units of the columns of `change_names`: m or rad, a share, kg/(N/m) or kg/(N m/rad)."""
+def machine_change_units(mechanism: Commanded) -> tuple[float, ...]:
+    """Units of the changes of a machine.
+
+    They are of the columns of `machine_change_names`: m or rad, a share, kg/(N/m) or kg/(N m/rad).
+    """
     return (*(GAP,) * len(mechanism.axes), GROWTH, SOFT)
 
 
 def require_watchable_calibrated_machine(calibration: Calibration) -> Commanded:
-    """The machine with the geometry that a calibration fitted.
+    """Require a calibrated machine that can be watched, and return it.
 
+    It has the geometry that the calibration fitted.
     Raises RigError for a platform on more than six struts and an arm with several hands.
     """
     fitted = require_axes(calibration.correction.fitted)
@@ -160,8 +167,9 @@ def _expected_poses(calibration: Calibration, samples: Samples) -> RigidTransfor
 def pose_jacobian_by_machine_changes(
     mechanism: Commanded, design: Design, commands: Commands, t: Floats, T: RigidTransform
 ) -> Floats:
-    """Columns (n, 6, axes + 2) of machine changes, in the order of `change_names`.
+    """Pose Jacobian (n, 6, axes + 2) by machine changes.
 
+    Columns are in the order of `machine_change_names`.
     Pose tangents (m, rad) per unit of each change, at exposures t (n,) s.
     """
     stated = (
@@ -303,7 +311,7 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     stated.
     """
     a, used = measured.adjustment, measured.used()
-    u, estimate = adjustment_unknowns(used, a.state, a.stated, FREE)
+    u, estimate = adjustment_unknowns_and_start_estimate(used, a.state, a.stated, FREE)
     _, derivatives = whitened_residuals_and_derivatives(used, estimate, u, whitener_of_observations(used))
     blocks = normal_equations(used, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {Place("target", name): s for name, s in u.targets.items()}

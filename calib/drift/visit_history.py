@@ -26,7 +26,7 @@ from calib.drift.visit_equations_and_reference import (
 )
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import DISTORTION_TERMS, Camera
@@ -157,8 +157,9 @@ def calibration_digest(calibration_path: Path) -> str:
 
 
 def write_history(path: Path | str, history: History) -> None:
-    """Write a History that has visits, whole or not at all.
+    """Write a History.
 
+    It has visits, and is written whole or not at all.
     Raises ValueError for one without.
     """
     r = history.reference

@@ -1,4 +1,7 @@
-"""HTML page of repeated visits, and the verdict on the last."""
+"""HTML page of repeated visits.
+
+It gives the verdict on the last.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +43,10 @@ class Visit:
 def write_visits_page(
     path: Path | str, calibration: str, visits: Sequence[Visit], verdict: Verdict, links: Sequence[Link] = ()
 ) -> None:
-    """Write the HTML page of visits, one at least, compared with a calibration."""
+    """Write the HTML page of visits.
+
+    They are one at least, compared with a calibration.
+    """
     n = np.arange(1, len(visits) + 1)
     agree = np.array([np.sqrt(v.evidence.square / v.evidence.count / v.scale) for v in visits])
     later = np.array([np.exp(min(v.evidence.log_sum, 600.0)) if v.evidence.chance is None else np.nan for v in visits])
@@ -124,8 +130,9 @@ def change_alarm_sentence(changes: Changes) -> str:
 
 
 def sentence_on_effect_omitted_by_calibration(visit: Visit) -> str:
-    """Sentence that a first visit shows an effect which the calibration omits.
+    """Sentence on an effect that the calibration omits.
 
+    A first visit shows it.
     Its claim not refuted by it.
     """
     named = visit.evidence.named

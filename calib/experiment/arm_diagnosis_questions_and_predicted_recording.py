@@ -67,14 +67,20 @@ PUT_BACK = "@next"  # after the name of a cube as a plan puts it back
 
 
 def operating_point_of_last_recording(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint of the last recording, with each camera and cube where it stood then."""
+    """OperatingPoint of the last recording.
+
+    Each camera and cube is where it stood then.
+    """
     last = {c.name.partition("@")[0]: c for c in point.design.cameras}
     cubes = {t.name.partition("@")[0]: t for t in point.design.targets}
     return replace(point, design=replace(point.design, cameras=tuple(last.values()), targets=tuple(cubes.values())))
 
 
 def operating_point_with_turned_cubes(point: OperatingPoint, plan: Plan) -> OperatingPoint:
-    """OperatingPoint after a plan has turned cubes, which then stand at unknown poses."""
+    """OperatingPoint with cubes turned.
+
+    A plan has turned them, and they then stand at unknown poses.
+    """
     quarters, targets = dict(plan.turned), []
     for target in point.design.targets:
         name = target.name.partition("@")[0]
@@ -120,8 +126,9 @@ def predicted_poses(fit: Refinement, design: Design, plan: Plan, sensors: Sensor
 def predicted_operating_point(
     point: OperatingPoint, fit: Refinement, plan: Plan, sensors: Sensors | None, T: RigidTransform
 ) -> OperatingPoint:
-    """OperatingPoint predicted for a plan's recording by one fit, with noise as large as before.
+    """OperatingPoint predicted for a plan's recording.
 
+    It is by one fit, with noise as large as before.
     Raises RigError where no camera sees a marker in some of its exposures
     """
     rng, design, F = (
@@ -224,7 +231,9 @@ class ArmQuestion(Question[ArmFit]):
 
 
 def open_questions_of_arm_diagnosis(diagnosis: Diagnosis) -> list[ArmQuestion]:
-    """Questions that an arm's diagnosis leaves open, none where it is clear.
+    """Questions that an arm's diagnosis leaves open.
+
+    None where it is clear.
     Raises RigError for a machine of which no plan can be foretold.
     """
     problem, whole = diagnosis.selection.problem, diagnosis.selection.fit

@@ -161,7 +161,10 @@ def rival_hypotheses_with_odds(rivals: list[Rival[F]]) -> tuple[Hypothesis[F], .
 
 
 def is_alternative_ruled_out(finding: Finding[C], alternative: Alternative[C], independent_residual_count: int) -> bool:
-    """Whether an alternative to a finding is ruled out, by its odds or by the data alone."""
+    """Whether an alternative to a finding is ruled out.
+
+    It is by its odds or by the data alone.
+    """
     same = abs(alternative.cosine) > PLATFORM.cosine
     return alternative.behind >= PLATFORM.alike and (
         not same or deviance_of_alternative(finding, alternative, independent_residual_count) >= PLATFORM.alike
@@ -169,7 +172,10 @@ def is_alternative_ruled_out(finding: Finding[C], alternative: Alternative[C], i
 
 
 def deviance_of_alternative(finding: Finding[C], alternative: Alternative[C], independent_residual_count: int) -> float:
-    """Deviance (-2 log likelihood ratio) of an alternative from its finding, without complexity cost."""
+    """Deviance (-2 log likelihood ratio) of an alternative from its finding.
+
+    It has no cost of complexity.
+    """
     return float(
         alternative.behind
         - alternative.score.complexity(independent_residual_count)

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from rig.formats import csv_and_parquet_tables_and_time_origin, json_toml_and_yaml_loading
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html, paragraph_html, table_html
 from rig.report.pages.page_templates_and_index_page import Page, write_page
 from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
@@ -100,7 +100,7 @@ def diagnosis_path(folder: Path, round_number: int) -> Path:
 
 
 def minutes_of_plan_file_with_setting_up(plan: Path) -> float:
-    """Minutes that a plan takes.
+    """Minutes that a plan takes, setting up included.
 
     Raises FileError for what is no table in time.
     """

@@ -37,15 +37,15 @@ from calib.files.mechanism_and_physics_entries import (
 from calib.models.arm.certification import CertifiedArm as ArmCertified
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified
-from calib.models.machine_models import calibration_with_workspace, model_of
+from calib.models.machine_models import calibration_with_workspace, machine_model_of_mechanism
+from calib.samples.commanded_and_measured_pose_samples import Sampled
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_from_entries, confounds_of_samples
-from calib.samples.pose_samples import Sampled
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.formats import json_toml_and_yaml_loading, local_and_remote_input_files
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
@@ -71,8 +71,9 @@ def calibration_with_provenance(
     known: tuple[Physics, Floats] | None = None,
     previous_calibration: tuple[Calibration, Json] | None = None,
 ) -> Calibration:
-    """Calibration of a recording's fit, with its provenance and workspace.
+    """Calibration of a recording's fit, with its provenance.
 
+    Its workspace is computed too.
     arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None;
         previous_calibration : on which this is one more pass
     """
@@ -215,8 +216,9 @@ NOT_HELD_OUT = HeldOut(
 
 
 def save(path: Path | str, calibration: Calibration) -> None:
-    """Save a Calibration as calibration.json, whole or not at all, and beside it the kinematics file it is of.
+    """Save a Calibration as calibration.json.
 
+    It is written whole or not at all, and beside it the kinematics file it is of.
     Raises FileError where another kinematics file of that name is there
     """
     write_kinematics_file(Path(path).parent, calibration.correction.nominal)
@@ -231,7 +233,7 @@ def write_calibration_json(path: Path | str, calibration: Calibration) -> None:
 def calibration_json_text(calibration: Calibration) -> str:
     """Text of a Calibration's calibration.json."""
     correction = calibration.correction
-    model = model_of(correction.nominal)
+    model = machine_model_of_mechanism(correction.nominal)
     tree = {
         "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
         "units": UNITS,
@@ -258,8 +260,10 @@ def calibration_json_text(calibration: Calibration) -> str:
 
 
 def load(path: Path | str, effect_kinds: Kinds = BY_NAME, several_hands: bool = False) -> Calibration:
-    """Load a Calibration from calibration.json. effect_kinds : effects that it may hold; several_hands : whether it may
-    be of an arm with several hands. Raises FileError
+    """Load a Calibration from calibration.json.
+
+    effect_kinds : effects that it may hold; several_hands : whether it may be of an arm with several hands. Raises
+    FileError
     """
     tree = json_toml_and_yaml_loading.load_json(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_from_entries(tree.table("nominal"), True), mechanism_from_entries(tree.table("fitted"))
@@ -269,7 +273,7 @@ def load(path: Path | str, effect_kinds: Kinds = BY_NAME, several_hands: bool = 
         tree.fail(f"is of an arm with several hands ({names}), for which this is not done", "nominal")
     schema = tree.text("schema")
     require_schema_contents(tree, *CONTENTS[schema])
-    model, axes = model_of(nominal), len(nominal.axes)
+    model, axes = machine_model_of_mechanism(nominal), len(nominal.axes)
     extension = field_from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
     correction = model.correction_from_entries(tree, nominal, fitted, _parts_in(tree, axes), extension)
     for key, known in (

@@ -18,17 +18,17 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import curve_classes_by_covariate
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
-from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.machine_geometry_and_effects_json_file import effect_to_dict, effects_from_entries
 from rig.formats.rig_toml.design_from_rig_toml import base_tilt_of_table
 from rig.formats.rig_toml.hexapod_and_two_strut_entries import follower_strut_numbers, stated_strut_count
 from rig.formats.rig_toml.mechanism_entries import (
-    branch_and_hand_json,
     branches_of_tables,
     couplings_of_tables,
     hands_of_tables,
+    json_of_branches_hands_and_couplings,
     mechanism_of_file,
 )
 from rig.model import mechanisms
@@ -67,7 +67,10 @@ def require_known_text(tree: Entries, key: str, known_texts: Sequence[str]) -> N
 
 
 def require_schema_contents(tree: Entries, needed: Sequence[str], refused: Sequence[str]) -> None:
-    """Raise FileError where a file lacks what its schema requires, or holds what only another has."""
+    """Raise FileError where a file's contents are not those of its schema.
+
+    It lacks what its schema requires, or holds what only another has.
+    """
     schema = tree.text("schema")
     for key in needed:
         if tree.get(key, None) is None:
@@ -121,7 +124,7 @@ def _require_plausible_struts(table: Entries, mechanism: Struts, stated: bool) -
 
 
 def require_same_ranges(tree: Entries, nominal: Commanded, fitted: Commanded) -> None:
-    """Raise FileError where nominal and fitted mechanism have other ranges.
+    """Raise FileError where nominal and fitted mechanism have different ranges.
 
     Where they differ in kind, or do not have the same axis ranges.
     """
@@ -175,7 +178,7 @@ def mechanism_dict(mechanism: Commanded) -> Json:
             "joints": mechanism.rows.tolist(),
             **{name: json_data(getattr(mechanism, name)) for name in ("limits", "base", "tool")[: 3 - ends]},
             **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {}),
-            **branch_and_hand_json(mechanism),
+            **json_of_branches_hands_and_couplings(mechanism),
         }
     if not has_struts(mechanism):
         return kinematics_file_mechanism_dict(mechanism)
@@ -194,7 +197,7 @@ def mechanism_from_entries(table: Entries, is_nominal: bool = False) -> Commande
     Raises FileError for anything else.
     """
     if "file" in table.tree:
-        return file_mechanism_from_entries(table)
+        return kinematics_file_mechanism_from_entries(table)
     if table.text("kind", (*READERS, CHAIN)) == CHAIN:
         stages = table.tables("stages")
         if len(stages) < 2:
@@ -218,9 +221,10 @@ def kinematics_file_mechanism_dict(mechanism: FileMechanism) -> Json:
     }
 
 
-def file_mechanism_from_entries(table: Entries) -> FileMechanism:
-    """Mechanism of a kinematics file from its JSON entries, the file beside.
+def kinematics_file_mechanism_from_entries(table: Entries) -> FileMechanism:
+    """Mechanism of a kinematics file from its JSON entries.
 
+    The file lies beside.
     Raises FileError for another file.
     """
     table.text("kind", (FileMechanism.kind,))

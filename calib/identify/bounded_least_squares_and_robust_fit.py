@@ -32,8 +32,9 @@ NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped alo
 def bounded_least_squares_step(
     b: Floats, G: Floats, values: Floats, bounds: Floats, preserved_sums: Floats
 ) -> tuple[Floats, Floats]:
-    """Least-squares step within bounds that keeps some sums of the values, and its covariance.
+    """Least-squares step within bounds.
 
+    It keeps some sums of the values. Returns its covariance too.
     b : (c,) gradient; G : (c, c) information, priors included in both; bounds : (c, 2) bounds; preserved_sums : (k, c)
         sums that the step must not change
     Returns (step (c,), covariance (c, c), which ignores the bounds)
@@ -119,8 +120,9 @@ def fit_least_squares(
     inliers: Booleans | None = None,
     robust: bool = False,
 ) -> Fit:
-    """Least-squares fit by Gauss-Newton, docs/mathematics.md (7).
+    """Least-squares fit.
 
+    It is by Gauss-Newton, docs/mathematics.md (7).
     linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where
         there is none
     inliers : (n,) bool blocks to use, or None for all; robust : whether blocks that disagree are sorted out, in rounds
@@ -336,8 +338,9 @@ def tail_quantile_ratio_to_normal_within_gate(scaled_residuals: Floats, gate: fl
 
 
 def rows_with_several_deviating_or_one_gross_number(scaled_residuals: Floats, gate: float) -> Booleans:
-    """Whether a row (n,) has several numbers that deviate, as a wrong pose has, or one grossly.
+    """Whether a row (n,) has several deviating numbers, or one gross one.
 
+    Several are what a wrong pose has.
     scaled_residuals : (n, k) residuals over their scatter; gate : of the greatest; half of it counts as far off in the
         second
     """

@@ -1,4 +1,6 @@
-"""Additional pass of a correction, by samples measured anew with a machine that an earlier calibration corrects.
+"""Additional pass of a correction.
+
+It is by samples measured anew with a machine that an earlier calibration corrects.
 
 It is of machines on struts, arms and chains, over configurations, over poses or over both, and certified on held-out
 configurations.
@@ -65,7 +67,7 @@ from calib.models.chain.configuration_space_correction import chain_correction_f
 from calib.models.covariance_parameters import covariance_parameters
 from calib.models.machine_models import corrected_pose_covariance
 from calib.models.platform.identification import Identified
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Instrument
@@ -93,8 +95,9 @@ class CorrectionPass(NamedTuple):
 
 
 def mechanism_placed_as_calibrated(mechanism: Commanded, known: Commanded, instrument: Instrument | None) -> Commanded:
-    """A stated mechanism; of an arm, the ends that are stated free stand where a calibration has them.
+    """A stated mechanism, placed as calibrated.
 
+    Of an arm, the ends that are stated free stand where a calibration has them.
     known : the nominal mechanism of the calibration
     """
     if instrument is None or not (isinstance(mechanism, Arm) and isinstance(known, Arm)):
@@ -106,8 +109,9 @@ def mechanism_placed_as_calibrated(mechanism: Commanded, known: Commanded, instr
 def samples_in_frames_of_calibration(
     calibration: Calibration, instrument: Instrument | None, samples: Samples
 ) -> PlacedSamples:
-    """Samples of an arm or a chain as measured where its instrument stood for a calibration, which knows no physics.
+    """Samples in the frames of a calibration.
 
+    They are of an arm or a chain, as measured where its instrument stood for a calibration, which knows no physics.
     Only ends that are stated free are placed anew: what else is off is the machine's. instrument : of rig.toml, or None
     """
     mechanism = calibration.correction.nominal
@@ -230,7 +234,10 @@ def _workspace(samples: Samples, correction: AnyCorrection) -> tuple[Floats, Rig
 
 
 def residual_axis_summands(samples: Samples, correction: AnyCorrection) -> FieldSamples:
-    """Correction summands (n, axes) m or rad that an earlier calibration leaves at samples, nearest to none."""
+    """Residual axis summands (n, axes) m or rad that a correction leaves at samples.
+
+    It is that of an earlier calibration; they are nearest to none.
+    """
     if isinstance(correction.fitted, Arm):
         return joint_correction_field_samples(
             _undone(samples, correction), correction.fitted, np.zeros(samples.common.shape[2])
@@ -254,9 +261,10 @@ def _mean_square_axis_error(field: Field, at: Samples, nominal: Commanded) -> fl
 
 
 def pose_space_of_additional_pass(samples: Samples, correction: AnyCorrection) -> PoseSpace:
-    """Pose space in which a pass maps what is left: of a machine on struts its own, about home; of an arm or a chain
-    about the mean orientation of the samples, in the coordinates in which their poses differ.
+    """Pose space of an additional pass.
 
+    It maps what is left: of a machine on struts its own, about home; of an arm or a chain about the mean orientation of
+    the samples, in the coordinates in which their poses differ.
     Raises RigError where orientations of these lie too far apart for a map over them, or where they fill no space of
         these coordinates
     """

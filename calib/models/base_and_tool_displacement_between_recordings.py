@@ -19,12 +19,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import error_model_and_observations as arms
 from calib.models.chain import error_model_and_identification as chains
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     are_base_and_tool_frames_unknown,
     has_translation_only_platform,
     poses_aligned_with_machine,
 )
-from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm, Chain
@@ -128,7 +128,7 @@ def _along(vector: Floats, covariance: Floats) -> float:
 
 
 def pose_jacobian_by_base_and_tool_placement(predicted: RigidTransform, origin: Floats) -> Floats:
-    """Columns (n, 6, 12) of base and tool placement.
+    """Pose Jacobian (n, 6, 12) by base and tool placement.
 
     Tangents of predicted poses (n,) per step of base and tool, in the predicted frames.
     """
@@ -183,8 +183,9 @@ def _white(predicted: RigidTransform, samples: Samples, placement: Placement, sc
 
 
 def estimated_placement_parameter_mask(ends: tuple[bool, bool], measured: str) -> Booleans:
-    """Which (12,) bool of the base's and the tool's six placement parameters are estimated.
+    """Mask (12,) of the placement parameters that are estimated.
 
+    They are six of the base and six of the tool.
     Positions tell no rotation of the tool.
     """
     return np.repeat([ends[0], ends[0], ends[1], ends[1] and measured == "pose"], 3)
@@ -234,8 +235,9 @@ def _aligned(predicted: RigidTransform, samples: Samples, none: Placement, ways:
 
 
 def placement_with_significant_displacements(placement: Placement, always: tuple[bool, bool], clear: bool) -> Placement:
-    """Placement of base and tool, with those of both that have moved by more than chance, or that are always asked for.
+    """Placement with significant displacements of base and tool.
 
+    They have moved by more than chance, or are always asked for.
     always : whether base and tool are placed anew in each recording, as far as anybody states
     clear : whether a displacement does CLEAR times as much as it leaves; else only an end of `always` is asked for
     The ends are to be estimated once more where these are fewer than both
@@ -261,8 +263,9 @@ def _chance(moved: Floats, covariance: Floats) -> float:
 def is_placement_significant(
     predicted: RigidTransform, samples: Samples, placement: Placement, scatter: Floats
 ) -> bool:
-    """Whether a placement does CLEAR times as much to the whitened poses as it leaves.
+    """Whether a placement is significant.
 
+    It does CLEAR times as much to the whitened poses as it leaves.
     predicted : (n,) poses in the reference; scatter : (6,) m, rad beyond the poses' noise
     """
     none = replace(placement, base=NONE, tool=NONE)

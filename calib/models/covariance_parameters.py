@@ -1,4 +1,6 @@
-"""Parameters of a machine in the order of a calibration's covariance, whatever its kind.
+"""Parameters of a machine that a calibration's covariance counts.
+
+They are in its order, whatever the machine's kind.
 
 How poses change with each, and which may change one at a time.
 """
@@ -66,8 +68,10 @@ def covariance_parameters(mechanism: Commanded) -> CovarianceParameters:
 
 
 def pose_scatter_covariance(mechanism: Commanded, scatter: Floats, T_base_platform: RigidTransform) -> Floats:
-    """Covariance (n, 6, 6) of poses (n,) by a calibration's scatter: of each axis of a parallel machine, (axes,) m or
-    rad, else of the pose, (6,) m and rad, or (3,) m where no rotation was measured: rotations are then UNMEASURED.
+    """Covariance (n, 6, 6) of poses (n,) by a calibration's scatter.
+
+    It is of each axis of a parallel machine, (axes,) m or rad, else of the pose, (6,) m and rad, or (3,) m where no
+    rotation was measured: rotations are then UNMEASURED.
     """
     if isinstance(mechanism, Arm | Chain):
         whole = np.r_[scatter, [UNMEASURED] * (6 - len(scatter))]

@@ -31,7 +31,7 @@ from calib.models.base_and_tool_displacement_between_recordings import (
 )
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.chain.error_model_and_identification import identify_chain
-from calib.samples.pose_samples import Below, Samples, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Below, Samples, sample_recording
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.recording.recording_folder import Recording

@@ -28,7 +28,7 @@ from calib.models.chain import error_model_and_identification as chains
 from calib.models.covariance_parameters import covariance_parameters
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import map_workspace
 from rig.array_and_json_types import Floats
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism
@@ -197,7 +197,7 @@ MODELS: dict[str, MachineModel] = {
 }
 
 
-def model_of(mechanism: Mechanism) -> MachineModel:
+def machine_model_of_mechanism(mechanism: Mechanism) -> MachineModel:
     """The MachineModel of a mechanism.
 
     Raises RigError for a body that is moved by hand.
@@ -268,7 +268,9 @@ def corrected_pose_covariance(calibration: Calibration, T_base_platform: RigidTr
 
     Source: docs/mathematics.md (21)
     """
-    return model_of(calibration.correction.nominal).pose_covariance(calibration, T_base_platform, commands)
+    return machine_model_of_mechanism(calibration.correction.nominal).pose_covariance(
+        calibration, T_base_platform, commands
+    )
 
 
 def calibration_with_workspace(calibration: Calibration) -> Calibration:

@@ -240,7 +240,7 @@ AGREED = 1e-9  # m, of the lengths that a commanded pose gives
 def pose_commands_for_controller_with_own_kinematics(
     nominal: Mechanism, lengths: Floats, wanted: RigidTransform, frames: PoseFrames
 ) -> RigidTransform:
-    """Poses (n,) to command a controller that has its own kinematics.
+    """Poses (n,) to command a controller with own kinematics.
 
     Its nominal kinematics then gives strut lengths (n, 6) m.
     wanted : T_base_platform (n,) near which they are looked for

@@ -21,7 +21,7 @@ from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_
 from rig.array_and_json_types import Json
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -67,7 +67,10 @@ class Accepted:
 
 
 def save_limbs(path: Path | str, accepted: Accepted) -> None:
-    """Save accepted limbs as limbs.json, whole or not at all."""
+    """Save accepted limbs as limbs.json.
+
+    It is written whole or not at all.
+    """
     a, w = accepted.agreement, accepted.withdrawn
     tree = {
         "schema": SCHEMA,

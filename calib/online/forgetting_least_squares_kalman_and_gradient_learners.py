@@ -19,7 +19,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG
 from rig.formats.output_files import write_text
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_axes, kinematics_of, require_axes
 from rig.model.pose import pose_difference
@@ -226,7 +226,10 @@ SCHEMA = "learner/1"
 
 
 def save_learner(path: Path | str, learner: Learner) -> None:
-    """Save a Learner to a file, whole or not at all."""
+    """Save a Learner to a file.
+
+    It is written whole or not at all.
+    """
     name = next(name for name, kind in LEARNERS.items() if type(learner) is kind)
     tree = {
         "schema": SCHEMA,

@@ -24,7 +24,7 @@ from scipy.special import chdtri, ndtri
 
 from calib.models.platform.closed_loop_equations import Measured, forward_kinematics_kernel, whitened_pose_row
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 
 STRUTS, WINDOW = 6, 3  # the poses within which a change must show, each a possible onset
 FALSE_ALARM = 2e-6  # at most, of a strut's jump at a quiet pose, over struts and onsets

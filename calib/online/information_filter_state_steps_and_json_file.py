@@ -1,4 +1,4 @@
-"""State of the on-line filter.
+"""States of the on-line information filter, the steps between them, and their JSON file.
 
 The steps from one state to the next, and its JSON file.
 
@@ -35,7 +35,7 @@ from calib.online.information_filter_kernels_and_change_detection import (
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries
 from rig.formats.output_files import write_text
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
@@ -108,7 +108,10 @@ def initial_state(start: Start, common_error_count: int) -> State:
 
 
 def state_of_new_session(state: State, common_errors: int) -> State:
-    """State at the start of a new session, with so many new draws of common errors."""
+    """State of the filter at the start of a new session.
+
+    It has so many new draws of common errors.
+    """
     c, estimate = len(state.estimate.s), state.estimate
     return State(
         _initial_estimate(estimate.p, estimate.S[c:, c : c + 42], common_errors),
@@ -242,7 +245,10 @@ class Saved:
 
 
 def save_filter_state(path: Path | str, saved: Saved) -> None:
-    """Save a filter's state, whole or not at all."""
+    """Save a filter's state.
+
+    It is written whole or not at all.
+    """
     nominal, recent = saved.start.nominal, saved.state.recent
     estimate, first = (recent[0].before, recent[0].first) if recent else (saved.state.estimate, saved.state.first)
     tree = {

@@ -15,7 +15,7 @@ from calib.online.forgetting_least_squares_kalman_and_gradient_learners import L
 from calib.online.hexapod_information_filter import Online, Update
 from calib.online.information_filter_kernels_and_change_detection import Change, change_sentence
 from calib.report.online_learning_and_measuring_limb_pages import MANY, OnlineResult
-from calib.samples.pose_samples import Sampled
+from calib.samples.commanded_and_measured_pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
@@ -107,8 +107,9 @@ def learn_by_simple_learner(
     progress: Progress,
     notice: Notice,
 ) -> Learning:
-    """Learning of a recording's new poses by a simple learner, of this name in LEARNERS.
+    """Learning of a recording's new poses by a simple learner.
 
+    It is that of this name in LEARNERS.
     All else as by the filter.
     """
     before = learner.number
@@ -155,8 +156,9 @@ def learn_by_simple_learner(
 def resume_or_start_learner(
     name: str, setting: float | None, state: Path | None, mechanism: Commanded, calibration: Calibration | None
 ) -> Learner:
-    """Learner of a name, resumed from a state that is there, or started anew.
+    """Learner of a name, resumed or started.
 
+    It is resumed from a state that is there, or started anew.
     Raises RigError where the two differ.
     """
     kind = LEARNERS[name]

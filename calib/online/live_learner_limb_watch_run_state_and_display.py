@@ -1,4 +1,4 @@
-"""Live learner of a run, and the state of the run.
+"""Live learner of a run, its watch of measuring limbs, the run's state and its display.
 
 The learner sees jumps and drift; limbs are held against vision.
 """
@@ -18,7 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.correction.correction import Correction
 from calib.online.hexapod_information_filter import Online
 from calib.online.information_filter_kernels_and_change_detection import Change
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, PositionUnknown, Remark, Resumed, Row
@@ -250,7 +250,10 @@ class RunStateChanges(TypedDict, total=False):
 
 
 def journal_row_in_words(row: Row, unit: str = "mm") -> str:
-    """A row for the log of a display; "" for what is no event. unit : name of a thousandth of the axes' m or rad"""
+    """Journal row in words.
+
+    It is for the log of a display; "" for what is no event. unit : name of a thousandth of the axes' m or rad
+    """
     if isinstance(row, Departure):
         far = max(abs(goal - start) for goal, start in zip(row.goal, row.start))
         return f"to step {row.step + 1}, {far * 1e3:.1f} {unit}"

@@ -27,7 +27,7 @@ from calib.online import accepted_measuring_limbs_file
 from calib.online.accepted_measuring_limbs_file import Accepted
 from calib.online.hexapod_information_filter import Online
 from calib.online.information_filter_kernels_and_change_detection import Change
-from calib.samples.pose_samples import Sampled, Samples, pair_commands_with_measured_poses
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, pair_commands_with_measured_poses
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -137,8 +137,9 @@ class Checked:
 
 
 def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
-    """Limb poses of the frames whose exposures have readings, by the six limbs that give poses.
+    """Poses of a recording by its limbs (LimbPoses).
 
+    They are of the frames whose exposures have readings, by the six limbs that give poses.
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
     frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
@@ -181,7 +182,9 @@ def check_limb_poses_by_redundancy_and_vision(
     check_interval: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Checked:
-    """Check of limb poses by redundant limbs at each, and by vision at intervals, to the first disagreement.
+    """Check of limb poses by redundant limbs and by vision.
+
+    By limbs at each, by vision at intervals, to the first disagreement.
     Raises what measuring raises
     """
     open_ = loop_closure_checks_of_redundant_measuring_limbs.first_unclosed_limb(accepted.limbs, poses.lengths)
@@ -282,19 +285,20 @@ def sample_recording_by_checked_measuring_limbs(
 ) -> Sampled:
     """Sampled of a recording from its measuring limbs.
 
-    Raises as `checked_limb_poses` does
+    Raises as `checked_limb_poses_and_accepted_limbs` does
     """
-    found, accepted = checked_limb_poses(recording, source, progress, notice)
+    found, accepted = checked_limb_poses_and_accepted_limbs(recording, source, progress, notice)
     return replace(
         samples_of_limb_poses(recording, found), files=(source.path,), data=tuple(accepted.provenance.get("data", ()))
     )
 
 
-def checked_limb_poses(
+def checked_limb_poses_and_accepted_limbs(
     recording: Recording, source: LimbSource, progress: Progress | None, notice: Notice
 ) -> tuple[LimbPoses, Accepted]:
-    """Limb poses of a recording, checked, and the accepted limbs they are from.
+    """Limb poses of a recording, checked.
 
+    With the accepted limbs they are from.
     notice : called with how many vision looked at
     Returns (LimbPoses, Accepted)
     Raises RigError for limbs that were not accepted, that are others than rig.toml states, or with which vision no

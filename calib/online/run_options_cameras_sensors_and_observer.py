@@ -154,8 +154,9 @@ class RunOptions:
 
 
 def compile_kernels_for_run(design: Design, in_two_processes: bool = False) -> bool:
-    """Compile the kernels that a run needs; False of other machines than hexapods with cameras.
+    """Compile the kernels that a run needs.
 
+    False of other machines than hexapods with cameras.
     By measuring one drawn image of a hexapod at home. in_two_processes : whether what only poses and the learner need
     is compiled beside what images need; both are kept, and loaded here
     """
@@ -225,9 +226,10 @@ def open_sensors_and_assemble_equipment(
     interval: float,
     units: LengthAndAngleUnits = SI,
 ) -> RunEquipment:
-    """Open the RunEquipment of a run, with its sensors if any. interval : s, as of RunOptions; units : of its rig.toml,
-    in which an operator who is asked enters readings
+    """Open a run's sensors, and assemble its RunEquipment.
 
+    There may be no sensors. interval : s, as of RunOptions; units : of its rig.toml, in which an operator who is asked
+    enters readings
     Raises RigError for settling by limbs that nobody reads.
     """
     sensing = open_sensor_reader(design.sensors, clock) if design.sensors else None
@@ -272,7 +274,7 @@ def _move_time_profile(design: Design) -> Callable[[Floats, Floats, float, float
 def set_camera_exposures_and_report_lines(
     shutter: SynchronisedCameras, design: Design, stated_exposure: float | None, previous_exposures: dict[str, float]
 ) -> tuple[dict[str, float], list[str]]:
-    """Set exposures of all cameras.
+    """Set exposures of all cameras, and return lines that report them.
 
     stated_exposure : s of all, or None; previous_exposures : {camera: s} that the run had before, which it keeps where
         none is stated.
@@ -308,8 +310,9 @@ def make_run_observer(
     options: RunOptions,
     recording_path: Path,
 ) -> RunObserver:
-    """Make the RunObserver that measures and learns during a run, by accepted limbs where the options name them.
+    """Make the RunObserver of a run.
 
+    It measures and learns during a run, by accepted limbs where the options name them.
     start : (axes,) m; recording_path : the recording, named where an acceptance is withdrawn
     """
     accepted = options.accepted_limbs(design)

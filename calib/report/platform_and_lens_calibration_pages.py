@@ -15,7 +15,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
 )
 from calib.models.platform.identification import Identified
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures, rig_scene
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Floats, Json
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
@@ -120,8 +120,9 @@ def view_3d_html(recording: Recording, calibration: Calibration, samples: Sample
 
 
 def evidence_html(calibration: Calibration) -> list[str]:
-    """HTML of the evidence for a calibration and its claim, and of what has no name.
+    """HTML of the evidence for a calibration.
 
+    It is for its claim too, and says what has no name.
     Empty without a claim.
     """
     claim, physics = calibration.claim, calibration.physics

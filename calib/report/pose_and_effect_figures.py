@@ -211,8 +211,9 @@ def rig_scene(
 def mechanism_scene(
     mechanism: Arm | Chain, frames: Integers, values: Floats, effects: tuple[DrawnEffect, ...] = ()
 ) -> Scene:
-    """3-D scene of a mechanism, with effects drawn at their places, without cameras and targets.
+    """3-D scene of a mechanism.
 
+    Effects are drawn at their places; it has no cameras and targets.
     frames : (n,) numbers; values : (n, axes) rad or m
     """
     kinematics = mechanisms.kinematics_of(mechanism)
@@ -230,7 +231,7 @@ def _cross() -> list[Json]:
 
 
 def drawn_lines_of_base_targets_and_camera_sights(design: Design, markers: MarkerMap | None) -> list[Json]:
-    """Lines of the fixed parts of a rig.
+    """Drawn lines of a rig's base targets and of its cameras' lines of sight.
 
     Base targets and camera sights.
     """

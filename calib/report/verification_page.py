@@ -1,4 +1,7 @@
-"""HTML page of a verification: whether a calibration's claim still holds."""
+"""HTML page of a verification.
+
+It says whether a calibration's claim still holds.
+"""
 
 import math
 from collections.abc import Sequence
@@ -18,8 +21,8 @@ from calib.certification.claim_verification import Verification
 from calib.certification.held_out_errors import Figures, HeldOut
 from calib.certification.redundant_strut_length_conflict_causing_internal_forces import StrutConflict
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
-from calib.samples.pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.formats.numbers_and_units import count_text
 from rig.model.design import Design

@@ -17,10 +17,10 @@ from typing import cast
 import numpy as np
 from scipy.special import betainc
 
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, tilt_readings
 from calib.samples.exposure_conditions import conditions_of_exposures
-from calib.samples.pose_samples import Sampled, Samples, tilt_readings
 from rig.array_and_json_types import Floats, Json
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm, Chain, Free
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel
@@ -127,7 +127,10 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
 def confounds_of_configurations(
     values: Floats, reached_from: Floats, mechanism: Parallel | Arm | Chain | Free
 ) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad visited in order at even times, each reached from (n, axes)."""
+    """Confounds of configurations (n, axes) m or rad.
+
+    They are visited in order at even times, each reached from (n, axes).
+    """
     signs = np.sign(values - reached_from)
     latest = np.maximum.accumulate(np.where(signs != 0, np.arange(len(signs))[:, None], -1), axis=0)
     direction = np.where(latest < 0, 0.0, np.take_along_axis(signs, np.maximum(latest, 0), axis=0))
@@ -246,15 +249,19 @@ def _numbered(places: list[str]) -> str:
 
 
 def confound_sentences(confounds: Confounds | None) -> tuple[str, ...]:
-    """Sentence on the confounds of a recording's design, as a list.
+    """Sentences on confounds.
 
+    They are a list of one, on a recording's design.
     Empty where there are none.
     """
     return (confounds.line().removesuffix(REMEDY),) if confounds is not None and confounds.serious else ()
 
 
 def estimate_clocks_from_samples(recording: Recording, samples: Samples) -> tuple[Clocks, ...]:
-    """Clocks of a recording, estimated from Samples of its poses; () where these are not whole poses."""
+    """Clocks of a recording, estimated from Samples.
+
+    They are of its poses; () where these are not whole poses.
+    """
     if samples.measured != "pose":
         return ()
     return clock_offset_and_drive_lag_by_recording(

@@ -1,4 +1,7 @@
-"""Conditions of exposures: direction of approach, logged channels and what the axes carry."""
+"""Conditions of exposures.
+
+They are the direction of approach, logged channels and what the axes carry.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,10 @@ class Conditions:
 
 
 def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
-    """Conditions of a recording's exposures at times t (n,) s. Raises RigError without commands."""
+    """Conditions of a recording's exposures at times t (n,) s.
+
+    Raises RigError without commands.
+    """
     recording.commanded()
     assert recording.commands is not None
     sensors = recording.sensors
@@ -77,7 +83,10 @@ def conditions_of_exposures(recording: Recording, t: Floats) -> Conditions:
 
 
 def approach_direction(commands: Commands, t: Floats) -> Floats:
-    """Direction of approach (n, axes): sign of each axis' last move before times t (n,) s, 0 for none."""
+    """Direction of approach (n, axes) before times t (n,) s.
+
+    It is the sign of each axis' last move, 0 for none.
+    """
     moved = np.sign(np.diff(commands.values, axis=0))
     begin = np.isin(commands.t[1:], commands.starts)  # the step from one recording to the next is no move
     latest = np.zeros((len(moved) + 1, commands.values.shape[1]))

@@ -35,12 +35,18 @@ LEVEL = 1.0  # rad; stands for the rotations of a platform that stays level, whi
 
 
 def has_translation_only_platform(mechanism: Mechanism) -> bool:
-    """Whether a parallel machine's platform only changes its position, so that positions tell all of it."""
+    """Whether a machine's platform only translates.
+
+    It is that of a parallel machine; positions then tell all of it.
+    """
     return is_parallel(mechanism) and set(mechanism.pose_coordinates) <= {0, 1, 2}
 
 
 def pose_covariance(poses: Poses, instrument: Instrument | None, mechanism: Mechanism) -> Floats:
-    """(n, 6, 6) of poses: their own, or what their instrument states."""
+    """Covariance (n, 6, 6) of poses.
+
+    It is their own, or what their instrument states.
+    """
     if poses.covariance is not None:
         return poses.covariance
     unknown = LEVEL if has_translation_only_platform(mechanism) else np.inf
@@ -56,8 +62,9 @@ def pose_covariance(poses: Poses, instrument: Instrument | None, mechanism: Mech
 
 
 def are_base_and_tool_frames_unknown(instrument: Instrument | None, mechanism: Mechanism) -> tuple[bool, bool]:
-    """Whether the frames of a parallel machine's base and tool are unknown in those of its instrument (2 bools).
+    """Whether the frames of a machine's base and tool are unknown.
 
+    They are those of a parallel machine in its instrument's (2 bools).
     Where the base's is, positions alone of a platform that only translates leave the tool's place a part of the base's.
     """
     if instrument is None or not is_parallel(mechanism) or instrument.kind != "pose":
@@ -67,9 +74,10 @@ def are_base_and_tool_frames_unknown(instrument: Instrument | None, mechanism: M
 
 
 def recording_in_machine_frames(recording: Recording) -> Recording:
-    """Recording of a parallel machine with its poses in the machine's own frames, where its instrument stands anywhere;
-    any other as it is. Of several recordings each has its own base, and the first one's tool.
+    """Recording with its poses in the machine's own frames.
 
+    It is of a parallel machine whose instrument stands anywhere; any other is as it is. Of several recordings each has
+    its own base, and the first one's tool.
     Raises RigError where no place of the instrument fits
     """
     design, poses = recording.design, recording.poses

@@ -1,4 +1,6 @@
-"""Four-sample example of two struts, and its figures.
+"""Two-strut example of a patent, and its figures.
+
+It has four samples.
 
 A worked example of two struts and a hinge; the figures are SVG.
 
@@ -19,10 +21,10 @@ from calib.correction.correction_field_methods_fitting_combination_and_json impo
     fit_correction_summand_field,
     measured_correction_summands,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Planar2
-from rig.model.mechanisms import two_strut_plane
+from rig.model.mechanisms import two_strut_planar_mechanism
 from rig.planning.configuration_generators import FILL, divided_grid_configurations
 from rig.report.pages.html_and_svg_elements import svg_text
 
@@ -51,7 +53,7 @@ def compute_worked_example() -> WorkedExample:
     """Worked example of two struts, computed with all its steps."""
     x = divided_grid_configurations(NOMINAL.strut_range, "1@1")
     x = x[np.lexsort((x[:, 1], x[:, 0]))]
-    measured = two_strut_plane.forward(x, REAL)
+    measured = two_strut_planar_mechanism.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))
     known = measured_correction_summands(samples, NOMINAL)
     correction: AnyCorrection = Correction(
@@ -59,19 +61,22 @@ def compute_worked_example() -> WorkedExample:
     )
     return WorkedExample(
         x,
-        two_strut_plane.forward(x, NOMINAL),
+        two_strut_planar_mechanism.forward(x, NOMINAL),
         measured,
-        two_strut_plane.inverse(measured, NOMINAL),
+        two_strut_planar_mechanism.inverse(measured, NOMINAL),
         known.values,
         correction,
     )
 
 
 def reached_hinge_positions(correction: AnyCorrection | None, wanted_positions: Floats) -> Floats:
-    """Hinge positions (n, 2) m reached for wanted ones, by the nominal model or one corrected step."""
+    """Hinge positions (n, 2) m reached for wanted ones.
+
+    They are by the nominal model or one corrected step.
+    """
     T = RigidTransform.from_translation(np.pad(wanted_positions, ((0, 0), (0, 1))))
-    commands = two_strut_plane.inverse(T, NOMINAL) if correction is None else correction.single_step(T)
-    return two_strut_plane.forward(commands, REAL).translation[:, :2]
+    commands = two_strut_planar_mechanism.inverse(T, NOMINAL) if correction is None else correction.single_step(T)
+    return two_strut_planar_mechanism.forward(commands, REAL).translation[:, :2]
 
 
 def _workspace_edge(mechanism: Planar2, count: int = 24) -> Floats:
@@ -80,17 +85,20 @@ def _workspace_edge(mechanism: Planar2, count: int = 24) -> Floats:
     s = np.linspace(0, 1, count)
     sides = [(s, 0 * s), (0 * s + 1, s), (s[::-1], 0 * s + 1), (0 * s, s[::-1])]
     x = np.concatenate([low + (high - low) * np.stack(side, axis=1) for side in sides])
-    return two_strut_plane.forward(x, mechanism).translation[:, :2]
+    return two_strut_planar_mechanism.forward(x, mechanism).translation[:, :2]
 
 
 def hinge_positions_of_command_grid(per_axis: int = 9) -> Floats:
-    """Hinge positions (per_axis^2, 2) m of a grid of commands over the middle of the strokes."""
+    """Hinge positions (per_axis^2, 2) m of a grid of commands.
+
+    It is over the middle of the strokes.
+    """
     levels = (
         NOMINAL.strut_range.mean(axis=1)
         + FILL * np.ptp(NOMINAL.strut_range, axis=1) / 2 * np.linspace(-1, 1, per_axis)[:, None]
     )
     x = np.stack(np.meshgrid(*levels.T, indexing="ij"), axis=-1).reshape(-1, 2)
-    return two_strut_plane.forward(x, NOMINAL).translation[:, :2]
+    return two_strut_planar_mechanism.forward(x, NOMINAL).translation[:, :2]
 
 
 WIDTH, HEIGHT = 480, 400

@@ -1,4 +1,4 @@
-"""Workspace map, and lost poses.
+"""Workspace map in cells with margins, and poses lost by correction.
 
 Cells with margins and error bounds; reach lost or gained by correction.
 
@@ -21,7 +21,7 @@ from calib.correction.correction import (
 from calib.correction.correction_field_methods_fitting_combination_and_json import home_pose
 from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.errors import NotConverged
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel
 from rig.model.pose import pose_difference, pose_to_vector
@@ -41,7 +41,7 @@ class MachineReach:
     out: Booleans
 
 
-def uncorrected_machine(correction: AnyCorrection) -> AnyCorrection:
+def correction_that_corrects_nothing(correction: AnyCorrection) -> AnyCorrection:
     """Correction of the nominal machine that corrects nothing."""
     return replace(
         correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=()
@@ -64,7 +64,9 @@ def are_nominal_poses_out_of_corrected_reach(correction: AnyCorrection, configur
     configurations = np.asarray(configurations, float)
     out = np.ones(len(configurations), bool)
     try:
-        index, T = indices_and_poses_of_solvable_commands(configurations, uncorrected_machine(correction).predict)
+        index, T = indices_and_poses_of_solvable_commands(
+            configurations, correction_that_corrects_nothing(correction).predict
+        )
     except NotConverged:
         return out
     out[index] = ~_reached(correction.near(T, configurations[index]), T, correction)
@@ -163,7 +165,7 @@ def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int 
     nominal = correction.nominal
     count = count or (DRAWN if is_parallel(nominal) else FEWER)
     drawn = evenly_spread_configurations(nominal, count, 1.0)
-    owner = uncorrected_machine(correction)
+    owner = correction_that_corrects_nothing(correction)
     believed, real = (
         reachable_poses_and_loss(owner, correction, drawn),
         reachable_poses_and_loss(correction, owner, drawn),
@@ -335,8 +337,9 @@ def _number(value: float) -> str:
 
 
 def certified_cell_promises(workspace: Workspace, certificate: Entries) -> Floats:
-    """Certified promise of each cell (c, 2) m and rad, from the smallest box around its middle.
+    """Certified promise of each cell (c, 2) m and rad.
 
+    It is that of the smallest box around its middle.
     NaN without one.
     """
     out = np.full((len(workspace.index), 2), np.nan)

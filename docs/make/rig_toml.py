@@ -12,7 +12,7 @@ from typing import Any
 import tomlkit
 
 from docs.make.field_texts import headline, texts_of_fields
-from rig.formats.checked_entries import REQUIRED, Entries, Key
+from rig.formats.checked_toml_and_json_entries import REQUIRED, Entries, Key
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
 from rig.formats.numbers_and_units import UnitNames
 from rig.formats.rig_toml import arm_dynamics_entries, design_from_rig_toml

@@ -124,7 +124,10 @@ def commands_disagree_with_poses(commands_and_poses: CommandsAndPoses) -> bool:
 
 
 def command_pose_mistakes(commands_and_poses: CommandsAndPoses) -> Iterator[Mistake]:
-    """Mistakes that best explain why commands disagree with poses, or the size of what none explains."""
+    """Mistakes that best explain why commands disagree with poses.
+
+    Where none explains it, the size of the disagreement.
+    """
     if not commands_disagree_with_poses(commands_and_poses):
         return
     before = commands_and_poses.miss()

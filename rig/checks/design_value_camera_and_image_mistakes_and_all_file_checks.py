@@ -1,4 +1,4 @@
-"""Implausible design values, and image mistakes.
+"""Implausible design values, camera and image mistakes, and all checks of files.
 
 Values of rig.toml; unused cameras, duplicate images, corners outside images.
 """
@@ -43,8 +43,9 @@ def implausible_design_value_mistakes(design: Design) -> Iterator[Mistake]:
 
 
 def overlong_rotation_vector_mistakes(rig_toml_tree: Json) -> Iterator[Mistake]:
-    """Mistakes of overlong rotation vectors (beyond one turn, so in degrees) in the tree of a rig.toml.
+    """Mistakes of overlong rotation vectors in the tree of a rig.toml.
 
+    Beyond one turn, so in degrees.
     None where it states the unit of angles.
     """
     if stated_units(rig_toml_tree).angle != "rad":

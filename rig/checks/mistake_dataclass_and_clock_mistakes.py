@@ -30,7 +30,10 @@ class Mistake:
 
 
 def sort_mistakes(mistakes: Iterable[Mistake]) -> tuple[Mistake, ...]:
-    """Mistakes sorted, each once: those that spoil results first, of these the likeliest first."""
+    """Mistakes sorted by what they spoil and by likelihood, each once.
+
+    Those that spoil results come first, of these the likeliest first.
+    """
     return tuple(sorted(dict.fromkeys(mistakes), key=lambda one: (not one.spoils, -one.proof)))
 
 
@@ -121,7 +124,7 @@ def _zone(shift: float) -> str:
 def implausible_axis_speed_and_frame_rate_mistakes(
     t: Floats, values: Floats, frames: Floats, unit: str, max_speed: float | None
 ) -> Iterator[Mistake]:
-    """Mistakes of speed.
+    """Mistakes of implausible axis speeds and frame rates.
 
     Axis speeds above any plausible maximum, or frame rates; then times are in another unit.
     t : (n,) s and values : (n, axes) m or rad of the commands; frames : (F,) s; unit : "m" or "rad"; max_speed : m/s
@@ -235,8 +238,9 @@ def clock_shift_putting_most_frames_into_dwells(
 
 
 def clock_offset_mistakes_of_frames_in_motion(frames: Floats, t: Floats, values: Floats) -> Iterator[Mistake]:
-    """Mistake of a clock offset: frames taken in motion that another offset puts into dwells of the commands.
+    """Mistakes of a clock offset by which frames seem taken in motion.
 
+    Another offset puts them into dwells of the commands.
     frames : (m,) s; t : (n,) s of the commands; values : (n, axes) m or rad
     """
     dwells = _dwells(t, values)

@@ -28,8 +28,9 @@ FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
 def unreadable_recording_mistakes(folder: Path, error: FileError) -> tuple[Mistake, ...]:
-    """Mistakes that make a recording's folder unreadable, from the FileError raised, in order.
+    """Mistakes that make a recording unreadable.
 
+    From the FileError that its folder raised, in order.
     May be none.
     """
     found: list[Mistake] = []

@@ -29,7 +29,7 @@ COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 
 def sensor_channel_unit_and_name_mistakes(log: Sensors, design: Design) -> Iterator[Mistake]:
-    """Mistakes in sensor channels of sensors.csv.
+    """Mistakes of units and names of sensor channels in sensors.csv.
 
     Another unit, or exchanged names.
     """
@@ -132,7 +132,10 @@ def _load(load: Floats, room: Floats | None, design: Design) -> Iterator[Mistake
 
 
 def gravity_and_platform_mass_mistakes(design: Design) -> Iterator[Mistake]:
-    """Mistakes in a design's environment: gravity of a wrong size or sign, a platform's mass in grams."""
+    """Mistakes of gravity and of the platform's mass in a design.
+
+    Gravity of a wrong size or sign, a mass in grams.
+    """
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
     if not GRAVITY[0] <= size <= GRAVITY[1]:
@@ -179,7 +182,10 @@ MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, tha
 
 
 def command_unit_mistakes(commands: Commands, design: Design) -> Iterator[Mistake]:
-    """Mistakes of the unit or origin of commands, from values (n, axes) outside the design's ranges."""
+    """Mistakes of the unit of commands.
+
+    Or of their origin, from values (n, axes) outside the design's ranges.
+    """
     m = design.mechanism
     if has_links(m):
         yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
@@ -343,7 +349,7 @@ def _angles(q: Floats, limits: Floats) -> Iterator[Mistake]:
 
 
 def poses_in_other_conventions(columns: Floats) -> Iterator[tuple[str, RigidTransform]]:
-    """Poses whose columns (n, 6) are read in other conventions.
+    """Poses that columns (n, 6) give when they are read in other conventions.
 
     Returns (convention, RigidTransform (n,))
     """

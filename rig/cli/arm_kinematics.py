@@ -1,5 +1,6 @@
-"""rig arm kinematics: forward and inverse kinematics of an arm, or of a platform.
+"""rig arm kinematics: forward and inverse kinematics.
 
+Of an arm, or of a platform.
 All solutions, step by step on request.
 """
 

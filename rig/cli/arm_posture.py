@@ -148,7 +148,7 @@ def run(arguments: Namespace) -> None:
     from rig.posture.best_posture import best_posture, posture_sweep
 
     path = shipped_arms_and_layouts.shipped_arm_path(arguments.arm)
-    design, dynamics = arm_dynamics_entries.load_arm_dynamics(path)
+    design, dynamics = arm_dynamics_entries.load_arm_design_and_dynamics(path)
     arm = require_arm(design.mechanism)
     options = _options(arguments, arm, _exertion(arguments, arm, dynamics, design.gravity, path))
     arguments.outputs.inputs.append(path)

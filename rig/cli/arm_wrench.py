@@ -1,5 +1,6 @@
-"""rig arm wrench: external wrench on an arm's hand, estimated with covariance.
+"""rig arm wrench: external wrench on an arm's hand.
 
+Estimated with covariance.
 From joint torques or motor currents.
 """
 

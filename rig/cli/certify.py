@@ -1,5 +1,6 @@
-"""rig certify: certify a calibration by held-out recordings.
+"""rig certify: certify a calibration.
 
+By held-out recordings.
 It writes the certificate as HTML, JSON, PDF or XML.
 """
 

@@ -22,7 +22,10 @@ from rig.cli.command_names_groups_summaries_and_exit_statuses import (
     STATUSES,
     exit_status_text,
 )
-from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import Parser, join_negative_numbers
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    Parser,
+    join_options_with_negative_numbers,
+)
 from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_common_options
 from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT, CommandOutputs
@@ -43,7 +46,7 @@ WRITTEN = (
 S = TypeVar("S", bound=int | str | None)  # an exit status
 
 
-def name_in_manifests(name: str) -> str:
+def command_name_in_manifests(name: str) -> str:
     """Name of a command in manifests of outputs.
 
     The earlier one if it has one, so that its earlier outputs are its.
@@ -70,7 +73,7 @@ def argument_adder_and_runner_of_command(
 
 
 def join_command_words_and_find_earlier_name(words: list[str]) -> tuple[list[str], str | None]:
-    """Words of a command line with the command's name as one of them.
+    """Words of a command line with the command's own words joined to one, and its earlier name.
 
     `new design --radius 0.3` becomes `new design` and the rest, and so does `design --radius 0.3`. The second word is
     the command's where the two together are one: a file of that name is written ./design.
@@ -86,8 +89,8 @@ def join_command_words_and_find_earlier_name(words: list[str]) -> tuple[list[str
     return ([*words[:at], both, *words[at + 2 :]] if both in COMMANDS else words), None
 
 
-def run_words(words: list[str], call: Callable[[list[str]], int], urgent_stop: object) -> int:
-    """Run the command of a command line; see rig.cli.command_line.main.
+def run_command_line_words(words: list[str], call: Callable[[list[str]], int], urgent_stop: object) -> int:
+    """Run the command that the words of a command line name; see rig.cli.command_line.main.
 
     call : runs another command, for commands that need others; urgent_stop : as
     rig.cli.urgent_stop_before_slow_imports returns it,
@@ -96,11 +99,11 @@ def run_words(words: list[str], call: Callable[[list[str]], int], urgent_stop: o
     from rig.cli.shared.escaped_output_progress_error_table_and_refutations import escape_control_characters_in_output
 
     with escape_control_characters_in_output():
-        return _run_words(join_negative_numbers(words), call, urgent_stop)
+        return _run_words(join_options_with_negative_numbers(words), call, urgent_stop)
 
 
 def _run_words(argv: list[str], call: Callable[[list[str]], int], urgent_stop: object) -> int:
-    """See `run_words`."""
+    """See `run_command_line_words`."""
     argv, earlier = join_command_words_and_find_earlier_name(argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
     if earlier is not None and sys.stderr is not None and sys.stderr.isatty():
@@ -218,7 +221,7 @@ def _run(arguments: argparse.Namespace) -> int:
         with (
             _signals(),
             CommandOutputs(
-                name_in_manifests(arguments.command),
+                command_name_in_manifests(arguments.command),
                 arguments.argv[1:],
                 _read(arguments),
                 getattr(arguments, "overwrite", False),
@@ -279,7 +282,7 @@ def _reader_may_leave(name: str, outputs: CommandOutputs) -> Iterator[None]:
 def _compiling() -> AbstractContextManager[None]:
     """Context in which compilation, which takes time, is announced once."""
     from rig.cli.shared.escaped_output_progress_error_table_and_refutations import print_compilation_notice
-    from rig.compute.numba_kernels import announce_compilation
+    from rig.compute.numba_compilation_and_kernel_cache_folder import announce_compilation
 
     return announce_compilation(print_compilation_notice)
 

@@ -1,4 +1,4 @@
-"""List of the commands of the command line.
+"""Names, groups and summaries of commands, and exit statuses.
 
 Names, groups and one line on each; earlier names and what they are now.
 """
@@ -128,7 +128,10 @@ def exit_status_meanings() -> dict[str, str]:
 
 
 def exit_status_text(width: int) -> str:
-    """All exit statuses, as the help of `rig` lists them. width : columns"""
+    """Text of all exit statuses.
+
+    As the help of `rig` lists them. width : columns
+    """
     from textwrap import wrap
 
     lines = ["exit status:"]
@@ -139,7 +142,7 @@ def exit_status_text(width: int) -> str:
 
 
 def commands_by_group_help_text(width: int) -> str:
-    """All commands by group, as the help of `rig` lists them.
+    """Help text of all commands by group.
 
     Commands of two words below the first.
     width : columns

@@ -1,5 +1,6 @@
-"""rig correct: correct wanted poses; rig correct serve: serve corrections.
+"""rig correct: correct wanted poses by a calibration.
 
+rig correct serve: serve corrections.
 By a calibration: corrected commands for wanted poses, or corrected poses of readings. The server answers programs of
 this computer on a loopback port.
 """

@@ -183,7 +183,7 @@ def _words(arguments: Namespace) -> tuple[str, ...]:
 
 def _print_report(report: Report) -> None:
     """Print what was found, the biggest first, and what was held out."""
-    from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_line
+    from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_line
     from calib.diagnosis.report.diagnosis_sentences_and_table_rows import (
         excluded_outlier_texts,
         finding_line,
@@ -199,7 +199,7 @@ def _print_report(report: Report) -> None:
         for other in finding.cannot_be_told_from:
             print(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
     for size in () if report.named else report.detectable:
-        print(detectable_line(size))
+        print(detectable_size_line(size))
     for entry in report.suggestions:
         values = ", ".join(f"{name} {value}" for name, value, _ in parameter_rows_of_suggested_formula(entry))
         print(

@@ -1,4 +1,4 @@
-"""rig effects: list the known unmodelled effects; rig effects document: document them.
+"""rig effects: list and document the known unmodelled effects.
 
 Or print one effect in full, or write a file for an effect of one's own. The document states model, parameters,
 experiment, remedy and sketch of each.

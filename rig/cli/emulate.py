@@ -138,7 +138,9 @@ def _emulate(arguments: Namespace) -> None:
     )
     emulator = emulator_of_rig_toml_controller(arguments.design, options, clock)
     wire = (
-        emulator_opening_and_serving_over_terminal_or_tcp.tcp_wire(emulator, _address(arguments.tcp, "--tcp"))
+        emulator_opening_and_serving_over_terminal_or_tcp.tcp_server_for_emulator(
+            emulator, _address(arguments.tcp, "--tcp")
+        )
         if arguments.tcp is not None
         else emulator_opening_and_serving_over_terminal_or_tcp.Terminal(arguments.link)
     )

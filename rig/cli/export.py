@@ -1,4 +1,4 @@
-"""rig export: write in the formats of other programs.
+"""rig export: export to the formats of other programs.
 
 A calibrated geometry, lenses or a recording.
 

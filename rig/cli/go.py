@@ -61,7 +61,7 @@ def run(arguments: Namespace) -> None:
     Move the platform to one pose through a calibration.
     """
     from calib.api.correction_server_and_move_to_pose import plan_pose_move, require_same_rig
-    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_controller_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.formats.numbers_and_units import SI
 
@@ -80,7 +80,7 @@ def run(arguments: Namespace) -> None:
             driver.trust()
         done = move.carry_out(driver, arguments.speed, _print_plan)
         assert done.status is not None
-        print_status(done.status, design)
+        print_controller_status(done.status, design)
     arguments.result = done.tree()
     _print_remainder(done)
 
@@ -120,7 +120,7 @@ def parse_pose(text: str, units: LengthAndAngleUnits) -> RigidTransform:
     """
     import numpy as np
 
-    from rig.formats.checked_entries import LARGEST_RIG, LARGEST_TURN
+    from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, LARGEST_TURN
     from rig.model.pose import pose
 
     try:

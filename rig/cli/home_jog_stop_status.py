@@ -36,14 +36,14 @@ def run_home(arguments: Namespace) -> None:
 
     Home all struts and print their positions.
     """
-    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_controller_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:
         if arguments.unlock and not driver.status().homing_required:  # which homing alone ends
             driver.unlock()
-        print_status(driver.home(), design)
+        print_controller_status(driver.home(), design)
 
 
 def arguments_of_jog(parser: ArgumentParser) -> None:
@@ -83,7 +83,7 @@ def run_jog(arguments: Namespace) -> None:
     """
     import numpy as np
 
-    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_controller_status
     from rig.driving.axis_display_units_and_controller_counts import MM_AND_DEGREES, axes_word, parse_axis_values
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
     from rig.driving.move_profiles_and_path_check import jog_goal
@@ -115,7 +115,7 @@ def run_jog(arguments: Namespace) -> None:
         if arguments.by:
             goal = jog_goal(driver.lengths() + goal, moves & bool(arguments.strut), driver.mechanism)
         driver.move(goal, arguments.speed)
-        print_status(driver.status(), design)
+        print_controller_status(driver.status(), design)
 
 
 PATIENCE = 10.0  # s for a process that drives to let go
@@ -140,12 +140,12 @@ def run_stop(arguments: Namespace) -> None:
             print(f"process {begun.holder.pid}, which drove them, was stopped")
         stopped = begun.stopped_controller()
 
-        from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
+        from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_controller_status
         from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
         design = design_with_controller_port(arguments.design, arguments.port)
         with open_driver(design, arguments.trace, print, begun.clock, stopped) as driver:
-            print_status(driver.status(), design)
+            print_controller_status(driver.status(), design)
 
 
 def _urgent_stop(arguments: Namespace) -> UrgentStop:
@@ -174,13 +174,13 @@ def run_status(arguments: Namespace) -> None:
 
     Nothing moves.
     """
-    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_status
+    from rig.cli.shared.terminal_run_display_and_printed_controller_status import print_controller_status
     from rig.driving.driver_opening_and_settling import design_with_controller_port, open_driver
 
     design = design_with_controller_port(arguments.design, arguments.port)
     with open_driver(design, arguments.trace, print) as driver:
         status, warnings = driver.status(), driver.limit_warnings()
-    print_status(status, design)
+    print_controller_status(status, design)
     for line in warnings:
         print(f"warning: {line}")
     arguments.result = {

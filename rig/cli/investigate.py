@@ -1,5 +1,6 @@
-"""rig investigate: plan, record and diagnose in a loop.
+"""rig investigate: investigate a machine's errors.
 
+Plan, record and diagnose in a loop.
 Until nothing is ambiguous; then it calibrates and certifies.
 """
 

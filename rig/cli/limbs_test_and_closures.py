@@ -1,4 +1,4 @@
-"""rig limbs test: test measuring limbs against vision; rig limbs closures: closure of redundant legs.
+"""rig limbs test and rig limbs closures: tests of measuring limbs, and closures of redundant legs.
 
 Limbs are calibrated in place and checked. Accepted ones are saved, and can replace vision as the source of poses.
 Closures tell which six legs give the pose, and the closure errors of the others.

@@ -220,7 +220,7 @@ def arguments_of_design(parser: ArgumentParser) -> None:
 
 
 def add_user_arm_file_options(parser: ArgumentParser) -> None:
-    """Add the options that name a file of one's own arm.
+    """Add the options that name a file of the user's own arm.
 
     A URDF, a table of Denavit-Hartenberg rows, or one of screw axes.
     """

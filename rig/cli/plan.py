@@ -1,5 +1,6 @@
-"""rig plan: plan which configurations to visit.
+"""rig plan: plan a recording.
 
+Which configurations to visit.
 For parameters, a promised accuracy, or to separate effects.
 """
 

@@ -1,5 +1,6 @@
-"""rig simulate: simulate a recording under a plan or from a diagnosis.
+"""rig simulate: simulate a recording.
 
+Under a plan or from a diagnosis.
 Its truth is written separately.
 """
 

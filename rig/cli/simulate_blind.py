@@ -1,4 +1,7 @@
-"""rig simulate blind: diagnose blind cases on simulated rigs, and score the answers."""
+"""rig simulate blind: simulate blind cases.
+
+They are diagnosed, and the answers are scored.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""First part of `rig stop`: the controller is sent its urgent stop, or the process that drives it is asked to end.
+"""Urgent stop of `rig stop`, begun before slow imports.
 
+The controller is sent its urgent stop, or the process that drives it is asked to end.
 It imports nothing that takes time. The command itself follows, and reports what went wrong here.
 """
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def begin_urgent_stop_of_command_words(words: list[str]) -> UrgentStop | RigError | OSError | KeyboardInterrupt | None:
-    """A stop that was begun, by the words after `rig stop`.
+    """Begin the urgent stop that the words after `rig stop` command.
 
     Returns what went wrong with it, to be raised by the command; None where the words or the rig.toml cannot be
     understood here, and nothing was done
@@ -55,8 +56,9 @@ def rig_toml_and_port_in_stop_words(words: list[str]) -> tuple[str, str | None] 
 
 @contextmanager
 def real_time_priority() -> Iterator[None]:
-    """Within it this thread comes before all processes without real time, on Linux and where the system permits it.
+    """Real-time priority of this thread within the context (context manager).
 
+    This thread then comes before all processes without real time, on Linux and where the system permits it.
     It permits it to root. Elsewhere nothing changes: a busy computer merely takes longer. A nice value would not do:
     it counts within a session alone where the system groups processes by session.
     """

@@ -1,5 +1,6 @@
-"""rig verify: verify a calibration by another recording.
+"""rig verify: verify a calibration.
 
+By another recording.
 One not used for it: error before and after correction.
 """
 

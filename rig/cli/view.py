@@ -1,5 +1,6 @@
-"""rig view: view a recording; rig view index: write an index page of pages.
+"""rig view: view a recording.
 
+rig view index: write an index page of pages.
 A picture of one frame with markers and residuals, or a 3-D page of all poses. The index is of all pages below a folder,
 each with its verdict.
 """

@@ -1,5 +1,6 @@
-"""rig watch: watch a calibration's drift by small visits.
+"""rig watch: watch a calibration's drift.
 
+By small visits.
 Whether it still holds, what changed.
 """
 

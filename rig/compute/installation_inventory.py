@@ -40,7 +40,10 @@ class InventoryItem:
 
 
 def installation_inventory() -> list[InventoryItem]:
-    """Inventory of the installation, versions first."""
+    """Inventory of the installation.
+
+    Versions come first.
+    """
     system = f"Python {platform.python_version()} on {platform.system()} {platform.release()}, {platform.machine()}"
     return [
         InventoryItem("rig", "ok", f"{metadata.version('rig')}, {Path(__file__).parents[2]}"),
@@ -56,7 +59,10 @@ def installation_inventory() -> list[InventoryItem]:
 
 
 def installed_package_inventory_items() -> Iterator[InventoryItem]:
-    """Installed packages, each with its version, against what rig requires."""
+    """Inventory items of the installed packages, each with its version.
+
+    Against what rig requires.
+    """
     for need in metadata.requires("rig") or ():
         name, least, extra = parse_requirement(need)
         if extra == "test":
@@ -98,7 +104,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def check_opengl_drawing() -> InventoryItem:
-    """Check of whether OpenGL draws an image, as an InventoryItem.
+    """Check of whether OpenGL draws, as an InventoryItem.
 
     Tried in a child process, since a broken driver ends its process.
     """

@@ -8,7 +8,9 @@ from importlib import import_module
 
 
 def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """The `__getattr__` of a package that imports the module of a name lazily, and the `__dir__` that lists its names.
+    """Functions `__getattr__` and `__dir__` for the lazy exports of a package.
+
+    The one imports the module of a name when it is used, the other lists the names.
     modules : {name: "module" that has it under that name, or "module:other name"}
     """
 

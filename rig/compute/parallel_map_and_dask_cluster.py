@@ -162,11 +162,14 @@ def use_cluster(address: str | None) -> Iterator[Cluster | None]:
 
 
 def current_cluster() -> Cluster | None:
-    """The Cluster current in this process, None where there is none."""
+    """The Cluster current in this process.
+
+    None where there is none.
+    """
     return _at_work
 
 
-def path_on_workers(path: Path) -> Path:
+def path_seen_by_cluster_workers(path: Path) -> Path:
     """The path of a file as the cluster's workers find it."""
     return path if _at_work is None else local_and_remote_input_files.absolute_path(path)
 

@@ -110,7 +110,10 @@ def executor_map(
 
 
 def split_into_decreasing_parts(items: Sequence[T], workers: int) -> list[Sequence[T]]:
-    """The items split into parts of decreasing size, several for each worker, single items last."""
+    """The items split into parts of decreasing size, for a number of workers.
+
+    Several for each worker, single items last.
+    """
     out, at = [], 0
     while at < len(items):
         size = min(MOST, -(-(len(items) - at) // (SHARES * workers)))
@@ -182,7 +185,9 @@ def process_pool(
     initializer: Callable[..., object] | None = None,
     initializer_arguments: tuple[object, ...] = (),
 ) -> Iterator[ProcessPoolExecutor]:
-    """A process pool that ends at once when this process is interrupted or killed.
+    """A process pool (context manager).
+
+    It ends at once when this process is interrupted or killed.
 
     start_method : "fork" or "spawn"; initializer : called with `initializer_arguments` in each process at its
         beginning, or None
@@ -231,7 +236,10 @@ def run_child_process(command: Sequence[str | PathLike[str]], env: dict[str, str
 
 
 def terminate_child_processes() -> None:
-    """Terminate the child processes for which other threads of this process wait."""
+    """Terminate the child processes of this process.
+
+    Those for which its other threads wait.
+    """
     for child in tuple(_waited_for):
         child.kill()
 

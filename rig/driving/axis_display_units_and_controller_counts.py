@@ -1,4 +1,7 @@
-"""Units in which axes are shown and controllers count them: mm of struts and slides, degrees of joints."""
+"""Units in which axes are shown and in which controllers count.
+
+mm of struts and slides, degrees of joints.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,7 +19,7 @@ MM_AND_DEGREES = {unit: scale for unit, (scale, _) in SHOWN.items()}  # {unit: h
 
 
 def parse_axis_values(option: str, texts: Sequence[str], units: Sequence[str], plain: Mapping[str, float]) -> Floats:
-    """Values (axes,) m or rad of an option's texts, one for each axis.
+    """Parse the values (axes,) m or rad of an option, one text for each axis.
 
     units : "m" or "rad" of the axes; plain : {unit: how many make one} of numbers without a unit
     Raises RigError for another number of texts, and for what is no length or angle.
@@ -32,21 +35,28 @@ def parse_axis_values(option: str, texts: Sequence[str], units: Sequence[str], p
 
 
 def controller_counts_per_metre_or_radian(units: Sequence[str], per_metre: float = 1e3) -> Floats:
-    """(n,) how much a controller counts per m or rad of each axis: degrees of joints.
+    """Counts (n,) of a controller per m or rad of each axis.
 
+    Of joints it counts degrees.
     units : "m" or "rad" of each; per_metre : of the others, by default mm
     """
     return np.array([SHOWN["rad"][0] if unit == "rad" else per_metre for unit in units])
 
 
 def value_text(value: float, unit: str, digits: int = 3) -> str:
-    """A value in m or rad as text, in mm or degrees."""
+    """Text of a value in m or rad with its unit.
+
+    In mm or degrees.
+    """
     scale, name = SHOWN[unit]
     return f"{value * scale:.{digits}f} {name}"
 
 
 def values_text(values: Floats, mechanism: Mechanism, digits: int = 4) -> str:
-    """Values (axes,) m or rad as text, in mm or degrees, the unit last where all have one."""
+    """Text of axis values (axes,) m or rad.
+
+    In mm or degrees, the unit last where all have one.
+    """
     units = mechanisms.axis_units(mechanism)
     texts = [value_text(float(value), unit, digits) for value, unit in zip(values, units)]
     if len(set(units)) > 1:
@@ -55,7 +65,10 @@ def values_text(values: Floats, mechanism: Mechanism, digits: int = 4) -> str:
 
 
 def greatest_distance_text(difference: Floats, mechanism: Mechanism, digits: int = 3) -> str:
-    """The greatest of differences (axes,) m or rad as text, of slides and joints each."""
+    """Text of the greatest of the axes' distances (axes,) m or rad.
+
+    Of slides and joints each.
+    """
     units, sizes = mechanisms.axis_units(mechanism), np.abs(difference)
     return " and ".join(
         value_text(max(float(size) for size, one in zip(sizes, units) if one == unit), unit, digits)
@@ -69,6 +82,6 @@ def name_of_thousandth_of_axis_units(mechanism: Mechanism) -> str:
 
 
 def axes_word(mechanism: Mechanism) -> str:
-    """What the axes are called together: struts, joints, slides, or axes where they differ."""
+    """Word for the axes of a mechanism together: struts, joints, slides, or axes where they differ."""
     words = set(mechanism.axis_words)
     return f"{words.pop()}s" if len(words) == 1 else "axes"

@@ -1,4 +1,7 @@
-"""Driver of a machine's axes (struts, joints, slides): checks, sends and monitors each move, stops on failure."""
+"""Driver of a machine's axes (struts, joints, slides).
+
+It checks, sends and monitors each move, and stops on failure.
+"""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -28,7 +31,7 @@ from rig.driving.controller_status_and_limits import (
 )
 from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, straight_move_segment
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Dialogue, Segment, State, Verdict
-from rig.driving.request_and_answer_exchange_with_controller import Link, Port, shown_bytes
+from rig.driving.request_and_answer_exchange_with_controller import Link, Port, bytes_as_text
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_port
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
@@ -283,7 +286,7 @@ class Driver:
     ) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
         if verdict.accepted is False:
-            raise ControllerFault(f"the move was refused: {verdict.reason}; sent: {shown_bytes(self.link.sent)}")
+            raise ControllerFault(f"the move was refused: {verdict.reason}; sent: {bytes_as_text(self.link.sent)}")
         begun = since = self.clock.now()
         closest = before = np.inf
         while True:

@@ -85,8 +85,9 @@ class StoppedController(NamedTuple):
 
 
 def controller_address_in_rig_toml(path: str | os.PathLike[str], port: str | None) -> ControllerAddress | None:
-    """ControllerAddress that a rig.toml states, None where it cannot be read as text alone.
+    """ControllerAddress that a rig.toml states.
 
+    None where it cannot be read as text alone.
     port : in place of the stated one
     """
     try:

@@ -1,5 +1,6 @@
-"""Controller lock: one process drives a controller.
+"""Controller lock, and the stop of the process that holds it.
 
+One process drives a controller.
 Who holds the lock, and how that process is stopped.
 
 The lock is a listening socket, named by the device: who listens at the name holds it, until its process ends. On Linux
@@ -89,8 +90,9 @@ def acquire_lock_socket(name: str, port: str) -> socket.socket:
 
 
 def send_lock_name_and_process_id(name: str, caller: socket.socket) -> None:
-    """Send a caller the name of the lock and the number of this process, which holds it.
+    """Send a caller the name of the lock and the process number of this process.
 
+    This process holds the lock.
     Only where the system does not tell it. Raises OSError where the caller is gone.
     """
     if not ABSTRACT:
@@ -98,8 +100,9 @@ def send_lock_name_and_process_id(name: str, caller: socket.socket) -> None:
 
 
 def connect_to_lock_holder(name: str) -> tuple[socket.socket, LockHolder] | None:
-    """A connection to the process that holds a lock, and who that is.
+    """Connect to the process that holds a lock.
 
+    Returns the connection and the LockHolder.
     None where nobody does.
     Raises RigError where it does not identify itself, or the lock's TCP port is another program's.
     """
@@ -181,7 +184,7 @@ class ControllerLock:
         _held.update((self._wake, self._woken))
         self._open = True
         try:
-            for name in lock_names(port, usb):
+            for name in names_of_all_locks_of_controller(port, usb):
                 held = acquire_lock_socket(name, port or usb)
                 self._sockets[held] = name
                 _held.add(held)
@@ -227,21 +230,25 @@ class ControllerLock:
 
 
 def ask_lock_holder_to_end(port: str, usb_id: str = "") -> LockHolder | None:
-    """Ask the process that holds a controller's lock to halt the struts and end.
+    """Ask the process that holds a controller's lock to end.
 
+    It halts the struts then.
     By SIGTERM, as a shell's background job ignores SIGINT; over its lock where it is another user's or the system does
     not say whose.
     Returns it, or None where nobody drives.
     """
-    holder = next((found for name in lock_names(port, usb_id) if (found := _lock_holder(name))), None)
+    holder = next(
+        (found for name in names_of_all_locks_of_controller(port, usb_id) if (found := _lock_holder(name))), None
+    )
     if holder is not None:
         _ask_to_end(holder)
     return holder
 
 
 def await_end_of_lock_holder(holder: LockHolder, port: str, clock: Clock, timeout: float) -> None:
-    """Return once a process that was asked to end holds its lock no more; kill it after `timeout` (s).
+    """Await that a process asked to end no longer holds its lock.
 
+    It is killed after `timeout` (s).
     port : of the controller, for messages
     Raises RigError where it does not let go
     """
@@ -256,8 +263,11 @@ def await_end_of_lock_holder(holder: LockHolder, port: str, clock: Clock, timeou
     raise RigError(f"{holder} was killed and still holds the controller at {port}: use the rig's own emergency stop")
 
 
-def lock_names(port: str, usb_id: str = "") -> list[str]:
-    """Names of all locks of the controller at a port: by device, path, network address and USB number."""
+def names_of_all_locks_of_controller(port: str, usb_id: str = "") -> list[str]:
+    """Names of all locks of the controller at a port.
+
+    By device, path, network address and USB number.
+    """
     words = set()
     if usb_id:
         from rig.driving.serial_and_epics_ports_and_checksummed_frames import find_usb_port

@@ -89,7 +89,7 @@ def tighter_controller_limit_warnings(
 
 
 def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: Floats, mechanism: Commanded) -> None:
-    """Raise Unreachable for goals (k, n) m or rad that the controller would refuse.
+    """Raise Unreachable for goals (k, n) m or rad outside the controller's limits.
 
     zero : (n,) m or rad, where it counts 0
     """
@@ -123,7 +123,9 @@ def require_goals_within_limits(limits: ControllerLimits, goals: Floats, zero: F
 
 
 def limits_of_linuxcnc_ini(path: Path, axis_units: Sequence[str]) -> ControllerLimits:
-    """Limits of the joints 0 .. n - 1 in a LinuxCNC .ini file, in its units; angles are in degrees where it names none.
+    """Limits (ControllerLimits) of the joints in a LinuxCNC .ini file.
+
+    Those of joints 0 .. n - 1, in its units; angles are in degrees where it names none.
 
     axis_units : "m" or "rad" of each
     Raises FileError for one that cannot be read, and for a joint whose TYPE is the other.
@@ -235,8 +237,10 @@ _BY_ACTIVITY = {
 }
 
 
-def unit_hint(lengths: Floats, expected: Floats) -> str:
-    """Hint after "; " where lengths (n,) m are about 1000 times too large or small; "" where they are not.
+def hint_at_lengths_wrong_by_factor_of_thousand(lengths: Floats, expected: Floats) -> str:
+    """Hint at lengths (n,) m that are about 1000 times too large or small.
+
+    It stands after "; "; "" where they are not.
 
     expected : (n,) or (n, 2) m, of which the largest counts
     """

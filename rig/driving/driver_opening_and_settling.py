@@ -31,7 +31,7 @@ from rig.model.protocol_port_and_user_program_name_checks import port_problem
 
 
 def design_with_controller_port(path: Path, port: str | None) -> Design:
-    """Design of a rig.toml with a controller, its port replaced where one is given.
+    """Design of a rig.toml, with the controller's port replaced where one is given.
 
     Raises RigError for one without, and for one that names programs and is not the operator's own
     """
@@ -45,8 +45,9 @@ def design_with_controller_port(path: Path, port: str | None) -> Design:
 
 
 def address_of_controller(controller: Controller, mechanism: Mechanism) -> ControllerAddress:
-    """Address of the Controller of a design, for a rig.toml that is no local file.
+    """ControllerAddress of the Controller of a design.
 
+    For a rig.toml that is no local file.
     Raises RigError for no port, and for a program of the user's own that cannot be used.
     """
     c = controller
@@ -64,8 +65,9 @@ def open_driver(
     clock: Clock | None = None,
     stopped: StoppedController | None = None,
 ) -> Iterator[Driver]:
-    """The open Driver of a design, which no other process drives meanwhile.
+    """Open the Driver of a design.
 
+    No other process drives it meanwhile.
     print_line : takes a line of text
     stopped : the controller where it was sent its urgent stop: it is stopped before anything is asked of it
     Raises FileError for a trace that cannot be written, and what opening raises.

@@ -19,7 +19,11 @@ from rig.driving.axis_display_units_and_controller_counts import (
     value_text,
     values_text,
 )
-from rig.driving.controller_status_and_limits import OUT_OF_RANGE, PositionReport, unit_hint
+from rig.driving.controller_status_and_limits import (
+    OUT_OF_RANGE,
+    PositionReport,
+    hint_at_lengths_wrong_by_factor_of_thousand,
+)
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
@@ -66,8 +70,9 @@ def trapezoidal_profile(start_time: float, end_time: float, cruise_time: float, 
 def straight_move_segment(
     start: Floats, target: Floats, speed_fraction: float, controller: Controller, mechanism: Commanded
 ) -> Segment:
-    """Segment of a straight move of all axes, which begin and arrive simultaneously.
+    """Segment of a straight move.
 
+    All axes begin and arrive simultaneously.
     start, target : (n,) m or rad; speed_fraction : of the greatest speeds, above 0 and at most 1
     """
     travel = np.abs(target - start)
@@ -82,8 +87,9 @@ def straight_move_segment(
 def speed_fraction_of_move(
     start: Floats, target: Floats, speed: float, controller: Controller, mechanism: Commanded
 ) -> float:
-    """Fraction of the greatest speeds at which the axis that moves most has a speed (m/s or rad/s).
+    """Fraction of the greatest speeds for a move at a speed.
 
+    At it the axis that moves most has that speed (m/s or rad/s).
     start, target : (n,) m or rad
     Raises ValueError where an axis would exceed its greatest speed.
     """
@@ -138,7 +144,10 @@ def require_axis_values_in_range(lengths: Floats, mechanism: Commanded) -> Float
 
 
 def jog_goal(goal: Floats, is_named: Booleans, mechanism: Commanded) -> Floats:
-    """Goal (axes,) m or rad with joints that follow others as their leaders have them, except axes (axes,) named."""
+    """Goal (axes,) m or rad of a jog.
+
+    Joints that follow others are as their leaders have them, except axes (axes,) named.
+    """
     return np.where(is_named, goal, mechanisms.with_followers(goal, mechanism))
 
 
@@ -195,7 +204,7 @@ def _require_safe_platform_path(
         poses = module.forward(path, mechanism)
     except NotConverged as error:
         k = int(np.min(error.index))
-        hint = unit_hint(start - zero, module.travel_ranges(mechanism).T - zero)
+        hint = hint_at_lengths_wrong_by_factor_of_thousand(start - zero, module.travel_ranges(mechanism).T - zero)
         where = [f"{place}{share[k]:.0%} along: {error}", *([OUT_OF_RANGE + hint] if k == 0 else [])]
         raise Unreachable("not moved: the path leaves the workspace", [k], where) from None
     least = _dexterity(poses, path, mechanism) / _dexterity(home, module.home_values(mechanism), mechanism)
@@ -239,7 +248,9 @@ class FittedProfile:
 def move_profile_fitted_to_reports(
     start: Floats, goal: Floats, reports: Sequence[PositionReport], speed: float
 ) -> FittedProfile:
-    """FittedProfile of a straight move: when it began, its ramps and its speed, by its reports.
+    """Profile (FittedProfile) of a straight move, fitted to position reports.
+
+    When it began, its ramps and its speed.
 
     start, goal : (n,) m; speed : m/s of the axis that moves most, from which the fit starts
     """
@@ -281,8 +292,9 @@ def move_profile_fitted_to_reports(
 
 
 def travel_fraction_of_trapezoidal_profile(t: Floats, cruise_time: float, ramp_time: float) -> Floats:
-    """(k,) share of the way passed at times t (k,) s from its beginning; cruise_time, ramp_time : s, as of
-    `trapezoidal_profile`.
+    """Fraction (k,) of the travel that a trapezoidal profile has passed at times t (k,) s.
+
+    Times are from its beginning; cruise_time, ramp_time : s, as of `trapezoidal_profile`.
     """
     if ramp_time >= cruise_time:  # full speed is never reached
         half = float(np.sqrt(ramp_time * cruise_time))

@@ -1,5 +1,6 @@
-"""Readings that an operator enters at the places of a run without cameras.
+"""Readings that an operator enters during a run.
 
+At the places of a run without cameras.
 A place is named in the units of rig.toml, and so is a reading; it is stored in m and rad.
 """
 
@@ -10,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.axis_display_units_and_controller_counts import axes_word
 from rig.errors import NotConverged, RigError
-from rig.formats.checked_entries import LARGEST_RIG
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG
 from rig.formats.numbers_and_units import LengthAndAngleUnits, parse_number
 from rig.model import mechanisms
 from rig.model.design import Instrument
@@ -82,7 +83,10 @@ class ReadingForm:
 
 
 def permitted_figure_counts_of_reading(instrument: Instrument | None) -> tuple[int, ...]:
-    """How many figures a reading of an instrument may have: 3 of a position, 6 of a pose, none of anything else."""
+    """Permitted counts of figures of a reading of an instrument.
+
+    3 of a position, 6 of a pose, none of anything else.
+    """
     if instrument is None:
         return 3, 6
     if instrument.kind != "pose":

@@ -1,5 +1,6 @@
-"""Recording made from the rows of a run's journal, kept up with it line by line.
+"""Recording made from a run's journal.
 
+It is kept up with the journal's rows line by line.
 The journal is the truth and these files follow from it; a run that goes on writes them anew first. Between a
 departure and an arrival commands.csv has the way as the struts were commanded along it; where that is not known (a
 move that another process saw the end of) they are taken to have moved evenly. All cameras of a frame share its time,

@@ -37,8 +37,11 @@ class Port(Interface):
         """Close the port; may be called twice."""
 
 
-def shown_bytes(sent: Sequence[bytes]) -> str:
-    """What was sent, as a message shows it: each write as a Python text, without the end of its line."""
+def bytes_as_text(sent: Sequence[bytes]) -> str:
+    """Sent bytes as text for a message.
+
+    Each write as a Python text, without the end of its line.
+    """
     return ", ".join(repr(data.decode("latin-1").strip("\r\n")) for data in sent)
 
 

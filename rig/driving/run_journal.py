@@ -1,5 +1,6 @@
-"""Journal of a run: rows on disk before what follows them.
+"""Journal of a run, written row by row.
 
+Rows are on disk before what follows them.
 One JSON object a line, numbered, with a check sum of its own. A last line that is cut off or whose sum is wrong was
 being written when the machine went down: it was never reported, and is taken away before the file goes on. Any other
 bad line is damage.

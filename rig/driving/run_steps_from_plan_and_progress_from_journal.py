@@ -1,4 +1,4 @@
-"""Steps of a run, and its progress.
+"""Steps of a run from its plan, and its progress from its journal.
 
 Steps come from its plan and are checked before motion; progress is read from its journal.
 """
@@ -42,8 +42,9 @@ class Step:
 
 
 def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
-    """Steps of a plan: each goal where its commands turn or dwell, and the number of frames exposed there.
+    """Steps of a plan.
 
+    Each goal where its commands turn or dwell, and the number of frames exposed there.
     Raises RigError for a plan that exposes while the struts move, or that changes the payload: a run waits until the
     struts stand, and nobody is asked to load the platform.
     """
@@ -71,8 +72,9 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
 
 
 def steps_exposed_during_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
-    """Steps of a plan as moves at a speed (m/s of the fastest strut) with exposures all along each move.
+    """Steps of a plan as moves at a speed (m/s) with exposures during each.
 
+    The speed is that of the fastest strut.
     max_speed : (axes,) m/s. Raises RigError for a speed that a strut may not have.
     """
     if not 0 < speed <= max_speed.min():
@@ -86,8 +88,9 @@ def steps_exposed_during_motion(steps: tuple[Step, ...], speed: float, max_speed
 def require_all_steps_permitted(
     steps: tuple[Step, ...], start: Floats, check_move: Callable[[Floats, Floats], None]
 ) -> None:
-    """Check all steps, goals and paths, from start (axes,) m on, before anything moves.
+    """Require that all steps are permitted, from start (axes,) m on.
 
+    Goals and paths are checked before anything moves.
     check_move : (start, goal) -> None, raises RigError where the move may not be made. Raises Unreachable listing all
         that may not.
     """
@@ -107,7 +110,7 @@ def require_all_steps_permitted(
 
 
 def longest_axis_distance_of_steps(steps: tuple[Step, ...], start: Floats) -> Floats:
-    """Distance (steps,) m of each step: that of the strut that moves most."""
+    """Longest distance (steps,) m that an axis moves in each step."""
     goals = np.array([start, *(step.goal for step in steps)])
     return np.abs(np.diff(goals, axis=0)).max(axis=1)
 
@@ -178,8 +181,9 @@ def progress_from_journal(journal_rows: list[Row], steps: tuple[Step, ...]) -> P
 
 
 def start_position_of_step(journal_rows: list[Row], steps: tuple[Step, ...], index: int) -> Floats:
-    """Axis values (axes,) m where a step of a run starts: the goal before it, or where the run began.
+    """Axis values (axes,) m where a step of a run starts.
 
+    The goal before it, or where the run began.
     Raises RigError for rows that no run leaves.
     """
     if not journal_rows or not isinstance(journal_rows[0], Began):
@@ -190,8 +194,9 @@ def start_position_of_step(journal_rows: list[Row], steps: tuple[Step, ...], ind
 def lost_position_reason(
     progress: Progress, position: Floats, tolerance: float, controller_restarted: bool, can_home: bool, unit: str = "mm"
 ) -> str:
-    """Reason why a position (axes,) m or rad that is read when a run is resumed counts as lost; "" where it does not.
+    """Reason why the position (axes,) m or rad counts as lost, "" where it does not.
 
+    It is read when a run is resumed.
     tolerance : m or rad, of a read-back; controller_restarted : whether the controller says that it started since
     it was homed or confirmed; can_home : whether it can home. One that cannot shows lost zeros only by axes that
     read elsewhere. unit : name of a thousandth of m or rad
@@ -214,8 +219,9 @@ def lost_position_reason(
 def interrupted_move_text_and_goal_reached(
     progress: Progress, steps: tuple[Step, ...], position: Floats, tolerance: float, unit: str = "mm"
 ) -> tuple[str, bool]:
-    """Result of an interrupted move from the position read after a crash.
+    """Text of what became of an interrupted move, and whether its goal is reached.
 
+    From the position read after a crash.
     tolerance : m or rad, of a read-back; unit : name of a thousandth of m or rad
     Returns (text, whether the goal is reached)
     """

@@ -1,4 +1,7 @@
-"""TCP socket to a controller, by its URL. It imports nothing that takes time."""
+"""TCP socket to a controller, by its URL.
+
+It imports nothing that takes time.
+"""
 
 import socket
 from urllib.parse import urlsplit
@@ -8,8 +11,9 @@ from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS
 
 
 def connected_tcp_socket(url: str, patience: float) -> socket.socket:
-    """Socket connected to SCHEME://HOST or SCHEME://HOST:PORT, which delays nothing that is sent.
+    """TCP socket connected to the host and port of a URL.
 
+    SCHEME://HOST or SCHEME://HOST:PORT; it delays nothing that is sent.
     patience : s to connect, and its timeout from then on. Raises LinkLost where nothing listens
     """
     parts = urlsplit(url)

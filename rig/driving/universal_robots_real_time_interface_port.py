@@ -1,4 +1,6 @@
-"""Port of Universal Robots' real-time interface: scripts in, packets of the robot's state out, as lines of text.
+"""Port of Universal Robots' real-time interface.
+
+Scripts go in, packets of the robot's state come out, as lines of text.
 
     17 state                              the request, numbered; the answer is the second packet that comes after it
     17 state 812.4 7 1 1 0.1 .. 0.3       seconds since the controller started, robot mode, safety mode, program state,
@@ -37,7 +39,10 @@ _NUMBERED = re.compile(rb"(\d+) (.*)")
 
 
 def packet(time: float, modes: tuple[int, int, int], joints: Sequence[float]) -> bytes:
-    """A packet of the interface. time : s; modes : robot, safety, program; joints : six, rad. All else in it is 0."""
+    """Packet of the real-time interface with a robot's state.
+
+    time : s; modes : robot, safety, program; joints : six, rad. All else in it is 0.
+    """
     values = [0.0] * DOUBLES
     values[TIME], values[JOINTS : JOINTS + 6] = time, joints
     values[ROBOT_MODE], values[SAFETY_MODE], values[PROGRAM_STATE] = map(float, modes)
@@ -45,7 +50,10 @@ def packet(time: float, modes: tuple[int, int, int], joints: Sequence[float]) ->
 
 
 def robot_state_line(time: float, modes: tuple[int, int, int], joints: Sequence[float]) -> str:
-    """A robot's state in a line, as the port gives it."""
+    """Line of text with a robot's state.
+
+    As the port gives it.
+    """
     return f"state {time:.3f} {modes[0]} {modes[1]} {modes[2]} " + " ".join(f"{value:.9f}" for value in joints)
 
 

@@ -44,8 +44,9 @@ RECORDED = ("journal.jsonl", "frames.csv")  # files that make a folder a recordi
 
 
 def refuse_programs_of_untrusted_rig_toml(path: Path, design: Design) -> None:
-    """Raise RigError where a rig.toml that names programs to run is behind a URL or part of a recording.
+    """Raise RigError where a rig.toml that is not trusted names programs to run.
 
+    It is behind a URL or part of a recording.
     Whoever wrote that is not the operator of this machine.
     """
     sources = [design.controller.protocol if design.controller else "", *(c.source or "" for c in design.cameras)]
@@ -85,7 +86,7 @@ def load_user_class(file_or_package: str, base: type[T], group: str, class_descr
 
 
 def first_missing_member_of_user_class(kind: type[object], base: type[object], members: tuple[str, ...]) -> str | None:
-    """Missing member of a user's class.
+    """First missing member of a user's class.
 
     The first of some members (methods or attributes) that it does not have of its own.
 
@@ -95,7 +96,10 @@ def first_missing_member_of_user_class(kind: type[object], base: type[object], m
 
 
 def user_class_error(path: str, kind: type[object], message: str, field: str | None = None) -> FileError:
-    """FileError, with the line, at a class of a user's file or at a name in its body."""
+    """FileError at a class of a user's file.
+
+    With the line of the class, or of a name in its body.
+    """
     text = Path(path).read_text(encoding="utf-8")
     return FileError(path, f"{kind.__name__} {message}", line_of_class(text, kind.__name__, field))
 
@@ -103,7 +107,7 @@ def user_class_error(path: str, kind: type[object], message: str, field: str | N
 def wrap_user_call_to_locate_errors(
     call: Callable[P, T], path: str, error_kind: type[RigError], owner: str
 ) -> Callable[P, T]:
-    """Guarded call of a user's method.
+    """Wrapped call of a user's method whose errors are located in the user's file.
 
     The same method, whose failures name the file and the line.
 

@@ -1,3 +1,6 @@
-"""Base class of effects for an owner's effect file, with parameters, and the motion and context that it reads."""
+"""Base class of effects, for an effect file of the user's own.
+
+With parameters, and the motion and context that it reads.
+"""
 
 from rig.effects.framework.effect import *  # noqa: F403  # all its names are an owner's

@@ -22,7 +22,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, MissingLibrary
-from rig.formats.checked_entries import LARGEST_NUMBER, LARGEST_WHOLE
+from rig.formats.checked_toml_and_json_entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.formats.local_and_remote_input_files import open_regular_file, read_text, short_repr
 from rig.formats.numbers_and_units import (
     LONGEST_NUMBER,

@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Json
 from rig.errors import FileError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import read_text, require_schema, short_repr
 from rig.model.pose import pose_to_entry
 
@@ -190,7 +190,10 @@ class Places(Mapping[KeyPath, Place]):
 
 
 def first_repeated_key(text: str) -> tuple[str, Place] | None:
-    """The first repeated key of a JSON text and the position of its second value, or None."""
+    """The first repeated key of a JSON text, or None.
+
+    With the position of its second value.
+    """
     seen = set()
     for path, at in _json_values(text):
         if path and path in seen:
@@ -200,7 +203,7 @@ def first_repeated_key(text: str) -> tuple[str, Place] | None:
 
 
 def dict_refusing_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Json:
-    """Dict of JSON key-value pairs (json's object_pairs_hook).
+    """Dict of JSON key-value pairs, refusing a repeated key (json's object_pairs_hook).
 
     Raises RepeatedKey for a key that occurs twice.
     """
@@ -325,7 +328,9 @@ WORDS = {
 
 
 def load_yaml(path: Path, list_key: str | None = None) -> Entries:
-    """Load the Entries of a YAML file. list_key : under which a list in place of a table stands, None to refuse one
+    """Load the Entries of a YAML file.
+
+    list_key : under which a list in place of a table stands, None to refuse one
     Raises FileError for a file that is missing, cut off, no YAML, no table or larger than such files are.
     """
     text = DIRECTIVE.sub("", read_text(path, LARGEST_YAML))

@@ -45,13 +45,17 @@ def _scheme(path: Path) -> int | None:
 
 
 def absolute_path(path: Path) -> Path:
-    """Absolute path of a local or remote path, links followed."""
+    """Absolute path of a local or remote path.
+
+    Links are followed.
+    """
     return path if is_remote(path) else path.resolve()
 
 
 def exists(path: Path) -> bool:
-    """Whether a file or a non-empty folder exists at a path.
+    """Whether a file or folder exists at a path.
 
+    Behind a URL a folder that is not empty.
     Raises FileError where that cannot be asked.
     """
     return (
@@ -80,7 +84,9 @@ def list_folder(folder: Path) -> list[str]:
 
 
 def file_size(path: Path) -> int | None:
-    """File size in bytes from its folder's listing, None where there is no such file.
+    """File size in bytes, None where there is no such file.
+
+    From its folder's listing behind a URL.
     Raises FileError where that cannot be asked.
     """
     if is_remote(path):
@@ -89,8 +95,9 @@ def file_size(path: Path) -> int | None:
 
 
 def read_remote_bytes(path: Path, max_bytes: int | None = None) -> bytes:
-    """Read the bytes of a remote file, the first `max_bytes` at most.
+    """Read the bytes of a remote file.
 
+    The first `max_bytes` at most.
     Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes
         wrong
     """
@@ -167,7 +174,10 @@ KINDS = (
 
 
 def nearest_name_hint(path: Path) -> str:
-    """Text that names the entry of a missing path's folder that is most like it, "" where none is."""
+    """Hint at the name nearest to that of a missing path, "" where none is near.
+
+    Names are those in the path's folder.
+    """
     try:
         near = get_close_matches(path.name, set(os.listdir(path.parent)) - {path.name}, 1)
     except OSError:  # the folder is missing as well, or cannot be listed
@@ -198,10 +208,10 @@ def open_regular_file(path: Path, missing_message: str = "no such file") -> Bina
 
 
 def read_bytes(path: Path, max_bytes: int = LARGEST, missing_message: str = "no such file") -> bytes:
-    """Read all bytes of a file, local or behind a URL, `max_bytes` at most.
-    max_bytes : bytes. Raises FileError as `open_regular_file` does, for a file larger than `max_bytes` and for one that
-        cannot be
-    read. be read.
+    """Read the bytes of a file.
+
+    Local or behind a URL. max_bytes : that it may have. Raises FileError as `open_regular_file` does, for a file
+    larger than `max_bytes` and for one that cannot be read.
     """
     if is_remote(path):
         return _fetched(path, max_bytes, missing_message)
@@ -227,7 +237,9 @@ def _fetched(path: Path, most: int, missing: str) -> bytes:
 
 
 def read_text(path: Path, max_bytes: int = LARGEST, missing_message: str = "no such file") -> str:
-    """Read the text of a UTF-8 file, without its byte order mark.
+    """Read the text of a file.
+
+    It is UTF-8; a byte order mark is left out.
     Raises FileError as `read_bytes` does, and for what is no text.
     """
     data = read_bytes(path, max_bytes, missing_message)
@@ -242,7 +254,10 @@ def read_text(path: Path, max_bytes: int = LARGEST, missing_message: str = "no s
 
 
 def short_repr(value: object) -> str:
-    """Short repr of a value for a message, truncated where long."""
+    """Short repr of a value, truncated where long.
+
+    For a message.
+    """
     try:
         text = repr(value if not isinstance(value, str) else value[: 2 * SHOWN])
     except (ValueError, RecursionError):

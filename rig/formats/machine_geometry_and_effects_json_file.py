@@ -22,7 +22,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
 )
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.design import Camera, Design
@@ -89,8 +89,9 @@ def effect_to_dict(effect: Effect) -> Json:
 
 
 def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
-    """Effect from a dict as `effect_to_dict` writes it, of known kinds.
+    """Effect of a known kind from a dict.
 
+    As `effect_to_dict` writes it.
     Raises RigError for anything else.
     """
     if (
@@ -189,7 +190,7 @@ def _camera(camera: Camera, table: Entries) -> Camera:
 def effects_from_entries(
     table: Entries, design: Design, kinds: Kinds, has_place: Callable[[Entries], bool] = lambda entry: True
 ) -> tuple[Effect, ...]:
-    """Effects listed under "effects".
+    """Effects from the entries "effects" of a table.
 
     has_place : whether an entry's place is looked up in the design
     Raises FileError for an unknown one, or one whose place a design has not.

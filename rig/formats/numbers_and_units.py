@@ -75,8 +75,9 @@ _QUANTITY = re.compile(r"(.*?[0-9.])([a-zµμ]+(?:/s)?)?")
 
 
 def parse_quantity(text: str, unit: str, plain: float = 1.0) -> float:
-    """Parse a finite number, with a unit of SUFFIXES after it or without, in an SI unit.
+    """Parse a quantity, in an SI unit.
 
+    A finite number, with a unit of SUFFIXES after it or without.
     plain : how many of the unit of a number without one make an SI unit
     Raises ValueError for anything else
 
@@ -119,8 +120,9 @@ def number_text(value: float, digits: int = 3) -> str:
 
 
 def count_text(count: int, noun: str, plural: str = "") -> str:
-    """Text of a count with its noun, and what follows it, in the singular or plural.
+    """Text of a count with its noun in the singular or plural.
 
+    And with what follows the noun.
     plural : by default the noun with an s
 
     >>> count_text(1, "frame"), count_text(0, "frame"), count_text(2, "frame has no pose", "frames have no pose")
@@ -130,8 +132,9 @@ def count_text(count: int, noun: str, plural: str = "") -> str:
 
 
 def digits_that_distinguish_numbers(low: float, high: float, digits: int = 3) -> int:
-    """Number of significant digits, `digits` at least, at which low and high differ.
+    """Number of significant digits at which two numbers differ.
 
+    At least `digits`.
     >>> digits_that_distinguish_numbers(199.81, 200.3), digits_that_distinguish_numbers(1.0, 2.0)
     (4, 3)
     """
@@ -139,7 +142,9 @@ def digits_that_distinguish_numbers(low: float, high: float, digits: int = 3) ->
 
 
 def quantity_text(values: float | Sequence[float], unit: str) -> str:
-    """Text of a quantity in an SI unit, or several, in the readable unit of the largest.
+    """Text of a quantity in a readable unit.
+
+    One number in an SI unit, or several; the unit is that of the largest.
 
     >>> quantity_text(2078.46, "s"), quantity_text(4.2e-5, "m"), quantity_text(3, "")
     ('2080 s', '42 µm', '3')
@@ -152,8 +157,9 @@ def quantity_text(values: float | Sequence[float], unit: str) -> str:
 
 
 def range_text(low: float, high: float, unit: str) -> str:
-    """Text of a range from low to high in SI units, in readable units.
+    """Text of a range from low to high in readable units.
 
+    Low and high are in SI units.
     High may be infinite.
 
     >>> range_text(5e-6, 2e-4, "m"), range_text(1e-3, 60, "s"), range_text(0, 0.05, "m")
@@ -243,8 +249,9 @@ def parse_length_and_angle_units(text: str) -> LengthAndAngleUnits:
 
 
 def stated_units(table: Mapping[str, object]) -> LengthAndAngleUnits:
-    """LengthAndAngleUnits that a table states by its key `units`, m and rad where it has none.
+    """LengthAndAngleUnits that a table states.
 
+    By its key `units`; m and rad where it has none.
     Raises ValueError.
     """
     return parse_length_and_angle_units(str(table.get("units", SI)))

@@ -1,4 +1,7 @@
-"""Tables of results for pandas, which is imported only here: names of columns end with their units."""
+"""Pandas tables of poses and errors.
+
+pandas is imported only here; names of columns end with their units.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -16,7 +19,7 @@ POSE_COLUMNS_WITH_UNITS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def pandas_table(names: Sequence[str], rows: Iterable[Sequence[object]]) -> DataFrame:
-    """DataFrame of rows. Raises MissingLibrary without pandas."""
+    """DataFrame of rows with names of columns. Raises MissingLibrary without pandas."""
     return pandas_table_of_columns(dict(zip(names, zip(*rows))) or {name: () for name in names})
 
 
@@ -30,8 +33,9 @@ def pandas_table_of_columns(columns: Mapping[str, Column]) -> DataFrame:
 
 
 def pandas_table_of_poses(frame: Integers, T: RigidTransform, covariance: Floats | None) -> DataFrame:
-    """DataFrame of poses, a row for each: frame, position (m), rotation vector (rad), and their standard deviations.
+    """DataFrame of poses.
 
+    A row for each: frame, position (m), rotation vector (rad), and their standard deviations.
     frame : (n,); T : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the right, or None. Standard deviations,
     `sigma_x_m` .. `sigma_rz_rad`, are along and about the axes of the moved body, as the covariance is.
     Raises MissingLibrary without pandas

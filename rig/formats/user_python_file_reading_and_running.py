@@ -62,8 +62,8 @@ def read_user_text(path: Path) -> tuple[str, str]:
         raise FileError(path, f"is not text in UTF-8: {error.reason}", raw[: error.start].count(b"\n") + 1) from None
 
 
-def run_user_text(text: str, path: Path) -> ModuleType:
-    """Module that a source text defines once it is run.
+def run_user_text_as_module(text: str, path: Path) -> ModuleType:
+    """Run a source text of the user's as a module.
 
     path : its name in errors.
     Raises FileError with the line.
@@ -83,16 +83,16 @@ def run_user_text(text: str, path: Path) -> ModuleType:
 
 
 def run_user_file(path: Path) -> UserModule:
-    """A user's Python file, run.
+    """Run a user's Python file, as a UserModule.
 
     Raises FileError, with the line, where it cannot be read or run.
     """
     text, digest = read_user_text(path)
-    return UserModule(path, text, digest, run_user_text(text, path))
+    return UserModule(path, text, digest, run_user_text_as_module(text, path))
 
 
 def line_in_file_of_error(error: BaseException, path: Path | str) -> int | None:
-    """Line within a file that an error came through, the last.
+    """Last line of a file in the traceback of an error.
 
     None for none.
     """
@@ -101,8 +101,9 @@ def line_in_file_of_error(error: BaseException, path: Path | str) -> int | None:
 
 
 def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
-    """Line where a source text defines a class, or a name in its body.
+    """Line where a source text defines a class.
 
+    Or a name in its body.
     None where that is not at its top level.
     """
     for node in ast.parse(text).body:
@@ -113,9 +114,9 @@ def line_of_class(text: str, name: str, field: str | None = None) -> int | None:
 
 
 def literal_in_class_body(text: str, field: str) -> object:
-    """Value of a literal (`urgent_stop = b"!"`) in the first class body of a source text that has one.
+    """Value of a literal in a class body of a source text.
 
-    None for none.
+    Such as `urgent_stop = b"!"`, in the first class body that has one; None for none.
 
     Nothing is run.
     """

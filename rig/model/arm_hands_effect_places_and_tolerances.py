@@ -67,8 +67,9 @@ COUPLED = 1e-3  # m or rad, by which a follower's value may miss its leader's
 
 
 def coupling_matrix(count: int, couplings: tuple[Coupling, ...]) -> Floats:
-    """Matrix (n, n) of joints' motion by commanded motion: the identity, but a follower's row, which is its leader's.
+    """Matrix (n, n) of joints' motion by commanded motion, with couplings.
 
+    It is the identity, but a follower's row is its leader's.
     Raises ValueError for a coupling of a joint that there is not, with itself, stated twice, or behind a follower
     """
     out = np.eye(count)
@@ -86,8 +87,9 @@ def coupling_matrix(count: int, couplings: tuple[Coupling, ...]) -> Floats:
 
 
 def joint_parent_indices(count: int, branches: tuple[Branch, ...]) -> Integers:
-    """Index (n,) of the joint whose link carries each of n joints, -1 for the base: the one before it without branch.
+    """Index (n,) of the parent of each joint, -1 for the base.
 
+    That is the joint whose link carries it: the one before it without branch.
     Raises ValueError for a branch of a joint that there is not, stated twice, or that stands on a later joint
     """
     parents = np.arange(-1, count - 1)
@@ -101,7 +103,10 @@ def joint_parent_indices(count: int, branches: tuple[Branch, ...]) -> Integers:
 
 
 def joint_carries_joint_matrix(parents: Integers) -> Booleans:
-    """Whether joint i carries joint j (n, n) bool, [i, j]: its link moves with joint i, as its own link does."""
+    """Whether joint i carries joint j, matrix (n, n) bool.
+
+    [i, j]: its link moves with joint i, as its own link does.
+    """
     out = np.eye(len(parents), dtype=bool)
     for j, parent in enumerate(parents.tolist()):
         if parent >= 0:
@@ -110,13 +115,19 @@ def joint_carries_joint_matrix(parents: Integers) -> Booleans:
 
 
 def hand_names(mechanism: object) -> tuple[str, ...]:
-    """Names of the hands of a mechanism that has several; none of others."""
+    """Names of the hands of a mechanism.
+
+    Of one that has several; none of others.
+    """
     hands: tuple[Hand, ...] = getattr(mechanism, "hands", ())
     return tuple(hand.name for hand in hands)
 
 
 def hand_number(mechanism: object, hand: str | int) -> int:
-    """Number, from 0, of a hand by its name or number. Raises RigError for a hand that the mechanism does not have."""
+    """Number, from 0, of a hand of a mechanism.
+
+    By its name or number. Raises RigError for a hand that the mechanism does not have.
+    """
     names = hand_names(mechanism)
     if isinstance(hand, int) and 0 <= hand < len(names):
         return hand
@@ -143,7 +154,10 @@ def require_no_couplings(mechanism: object, refusal_beginning: str) -> None:
 
 
 def selected_hand_name(mechanism: object) -> str | None:
-    """Name of the hand at which an arm with several is seen; None of other mechanisms."""
+    """Name of the selected hand of a mechanism, None where it has not several.
+
+    It is the hand at which the arm is seen.
+    """
     number: int = getattr(mechanism, "hand", 0)
     names = hand_names(mechanism)
     return names[number] if names else None
@@ -223,7 +237,7 @@ def parse_place_in_stage(text: str, kinds: Collection[str]) -> Place | None:
 
 @cache
 def axis_mask(effect_place: Place, places: tuple[str, ...]) -> Floats:
-    """Axis mask (axes,) of a place.
+    """Mask (axes,) of the axes that an effect's place includes.
 
     places : texts of the axes' places
 

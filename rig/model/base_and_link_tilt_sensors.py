@@ -1,4 +1,4 @@
-"""Tilts of a machine's base and links, by sensors.
+"""Tilts of a machine's base and links, measured by sensors.
 
 By a sensor channel, gravity in the base's frame as it turns; sensors are on links.
 """
@@ -107,7 +107,7 @@ class TiltReadings:
 def tilt_residuals_and_jacobians(
     readings: TiltReadings, links: Floats, mounting: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Linearised tilts of readings.
+    """Residuals of tilt readings, and their Jacobians.
 
     links : (n, s, 3, 3) orientations of the sensors' links in the frame of poses; mounting : (3 + 3 s,) rad, small
         turns of gravity in that frame, then of each sensor about its own axes
@@ -152,7 +152,10 @@ class BaseTilt:
 
 
 def has_gravity_sensor_channels(channels: Collection[str]) -> bool:
-    """Whether gravity in the base frame is among the names of sensor channels."""
+    """Whether sensor channels include those of gravity.
+
+    In the base frame.
+    """
     return set(GRAVITY) <= set(channels)
 
 
@@ -182,8 +185,9 @@ def gravity_at_exposures(
 def times_resampled_for_small_tilt_steps(
     t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]
 ) -> Floats:
-    """Log times (m,) s, with more inserted so that no tilt turns by more than LARGEST_TURN from one to the next.
+    """Log times (m,) s, with more inserted so that tilt steps are small.
 
+    No tilt turns by more than LARGEST_TURN from one to the next.
     t : (n,) s; channels : {name: (n,) values}, linear between rows
     """
     turns = np.max([np.abs(np.diff(tilt.angle(channels[tilt.channel]))) for tilt in tilts], axis=0)

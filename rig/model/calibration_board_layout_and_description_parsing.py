@@ -1,5 +1,6 @@
-"""Calibration boards (ChArUco, ArUco grid, AprilGrid).
+"""Layout of calibration boards, and parsing of their description.
 
+ChArUco, ArUco grid, AprilGrid.
 Kalibr's AprilGrid; their printed layout, parsed from their description.
 """
 

@@ -1,4 +1,4 @@
-"""Checks of a user's kinematics file.
+"""Checked loading of a user's kinematics file.
 
 Of its functions: shapes, numbers, round trip, derivatives; and the cached loading of one.
 """
@@ -29,7 +29,7 @@ SINGULAR = 1e-6  # of the largest singular value of the axes' change with the fr
 
 @lru_cache(16)
 def load_checked_kinematics_source(source: str, name: str) -> KinematicsFile:
-    """KinematicsFile of a source text, checked.
+    """Load a source text as a checked KinematicsFile.
 
     name : of its file, in errors.
     Raises FileError with the line of what is wrong: what is missing, of another shape, no number, in another unit, or

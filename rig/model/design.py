@@ -347,7 +347,7 @@ class Design:
 
 
 def quarter_turns_of_cubes(design: Design) -> dict[str, int]:
-    """Quarter turns {cube: quarter turns} of a design's remounted cubes; of several recordings, the last."""
+    """Quarter turns {cube: quarter turns} of a design's remounted cubes."""
     return {target.name.partition("@")[0]: target.turned for target in design.targets if target.turned is not None}
 
 
@@ -361,7 +361,7 @@ def chebyshev_products(camera: Camera, uv: Floats, degree: int) -> Floats:
 
 
 def image_warp_columns(camera: Camera, uv: Floats, degree: int) -> Floats:
-    """Columns (..., 2, 2 m) of an image warp: px moved at uv (..., 2) px per unit of each coefficient."""
+    """Columns (..., 2, 2 m) px of an image warp at uv (..., 2) px, per unit of each coefficient."""
     basis = chebyshev_products(camera, uv, degree)
     zero = np.zeros_like(basis)
     return np.stack([np.concatenate([basis, zero], axis=-1), np.concatenate([zero, basis], axis=-1)], axis=-2)
@@ -382,8 +382,9 @@ _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+
 
 @lru_cache(maxsize=256)
 def markers_of_target(target: Target) -> tuple[Marker, ...]:
-    """Markers of a target: its listed ones, or those on a cube's faces, top to +z on the sides and to +y on +z and -z.
+    """Markers of a target.
 
+    Its listed ones, or those on a cube's faces, top to +z on the sides and to +y on +z and -z.
     Raises ValueError for a target that lists neither faces nor markers.
     """
     if target.listed:

@@ -43,7 +43,7 @@ def design_contradictions(a: Design, b: Design) -> list[str]:
 
 
 def is_same_lens_sensor_and_mount(a: Camera, b: Camera) -> bool:
-    """Whether two Cameras agree in all but pose, source and capture: lens, sensor, shutter, mount and name."""
+    """Whether two Cameras have the same lens, sensor, shutter, mount and name."""
     return not any(where.partition(".")[0] not in ("pose", "source", "capture") for where, _ in _differences(a, b, ""))
 
 
@@ -109,8 +109,9 @@ def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
 
 
 def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """Parse the permission of a cube turn, a word of [experiment] may.
+    """Parse the permission to turn a cube.
 
+    A word of [experiment] may.
     Returns (permission with the cube's name, None), or ("", problem in words)
     """
     if not word.startswith(TURN):
@@ -134,7 +135,7 @@ def design_with_turned_cubes(design: Design, quarter_turns: Mapping[str, int]) -
 
 
 def rig_toml_with_turns(text: str, quarter_turns: Mapping[str, int]) -> str:
-    """The rig.toml text with the cubes' quarter turns stated.
+    """The rig.toml text with the quarter turns of cubes stated.
 
     All else, comments too, unchanged.
     """

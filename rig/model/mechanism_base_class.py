@@ -1,4 +1,7 @@
-"""What every mechanism answers of itself: its axes, bodies, plates, struts, links, reach and files."""
+"""Base class of mechanisms.
+
+What each answers of itself: its axes, bodies, plates, struts, links, reach and files.
+"""
 
 from typing import ClassVar, Literal
 

@@ -1,4 +1,7 @@
-"""Geometry classes of mechanisms (hexapod, planar, arm, chain, of a file, free): frozen dataclasses in m and rad."""
+"""Geometry classes of mechanisms.
+
+Hexapod, planar, arm, chain, of a file, free: frozen dataclasses in m and rad.
+"""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -90,8 +90,9 @@ def simulate_machine_run(
     sensors: Sensors | None = None,
     rates: bool = False,
 ) -> MachineRun:
-    """Simulate the run of a design's machine under commands, with effects.
+    """Simulate the run of a design's machine under commands.
 
+    With effects.
     Its poses and, if requested, rates.
     design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting
         together
@@ -150,8 +151,9 @@ def _held_poses(lengths: Floats, mechanism: Mechanism, guess: RigidTransform | N
 def commands_with_followers(
     design: Design, commands: Commands, t: Floats, effects: Sequence[Effect] = (), sensors: Sensors | None = None
 ) -> Commands:
-    """Commands whose followers are as long as they read while the driven struts hold the platform.
+    """Commands with the lengths of the followers.
 
+    They are as long as they read while the driven struts hold the platform.
     The arguments are those of `simulate_machine_run`; exposures at t (n,) s in motion get a row of their own, for
     followers do not move evenly between others. Of a machine without followers the commands themselves
     """
@@ -269,6 +271,9 @@ def _with_rates(
 def pose_rates_and_curvatures(
     T: RigidTransform, before: RigidTransform, after: RigidTransform
 ) -> tuple[Floats, Floats]:
-    """Rates (n, 6) per s of poses T (n,), and curvatures (n, 6), from poses shortly before and after."""
+    """Rates (n, 6) per s and curvatures (n, 6) of poses T (n,).
+
+    From poses shortly before and after.
+    """
     minus, plus = pose_difference(T, before), pose_difference(T, after)
     return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

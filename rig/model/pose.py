@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.errors import NotEnoughData
 
 TRIANGLE = np.triu_indices(6)
@@ -96,9 +96,9 @@ def poses_pointing_along(directions: Floats) -> RigidTransform:
 
 
 def direction_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
-    """Difference of directions, a small turn (n, 2) rad about x and y of the poses T_from (n,).
+    """Difference of directions, a small turn (n, 2) rad.
 
-    It takes their z axes to those of T_to (n,).
+    About x and y of the poses T_from (n,). It takes their z axes to those of T_to (n,).
 
     On the tangent plane of the unit sphere, so that no direction is special: near the zenith an azimuth counts by the
     cosine of the elevation.
@@ -132,8 +132,9 @@ LINE = 1e-6  # of the length of a row of positions, within which they lie on a l
 def align_poses(
     predicted: RigidTransform, measured: RigidTransform, unknown_ends: tuple[bool, bool], rows_per_pose: int = 6
 ) -> tuple[RigidTransform, RigidTransform]:
-    """Motions (base, tool) with which base * predicted * tool is nearest to measured, of n poses each: robust least
-    squares, from rotations between poses on.
+    """Align predicted poses (n,) with measured ones by motions (base, tool).
+
+    With these base * predicted * tool is nearest to measured: robust least squares, from rotations between poses on.
 
     unknown_ends : whether each is unknown, the identity where not; rows_per_pose : 6, or 3 of positions alone
     Raises NotEnoughData for fewer than FEWEST_ALIGNED poses, and positions on a line
@@ -250,7 +251,7 @@ def rms_uncertainty(covariance: Floats) -> tuple[float, float]:
 def displace_selected_poses(
     poses: RigidTransform, selected: Booleans, motion: Callable[[RigidTransform], RigidTransform]
 ) -> RigidTransform:
-    """Poses (m,) with motion(T) in place of the selected ones, selected (m,) bool."""
+    """Poses (m,) of which the selected ones, selected (m,) bool, are displaced by motion(T)."""
     if not selected.any():
         return poses
     matrices = poses.as_matrix().copy()

@@ -40,13 +40,17 @@ def port_problem(port: str) -> str | None:
 
 
 def is_motor_record_name(name: str) -> bool:
-    """Whether a text may be the name of an EPICS record, without a field."""
+    """Whether a text may be the name of an EPICS motor record.
+
+    Without a field.
+    """
     return re.fullmatch(r"[A-Za-z0-9_:;\[\]{}-]{1,60}", name) is not None
 
 
 def is_user_file_or_package(stated: str) -> bool:
-    """Whether a stated protocol, camera source or sensor port is a user's own file or package.
+    """Whether a stated text names a user's own file or package.
 
+    Of a protocol, camera source or sensor port.
     "file:mine.py" or "package:NAME".
     """
     return stated.partition(":")[0] in USER_PROGRAMS

@@ -211,7 +211,7 @@ class KinematicsFile:
 
 
 def finite_difference_step(tolerance: float) -> float:
-    """Step of differences with a parameter of a tolerance, in its unit."""
+    """Step of finite differences for a parameter with a tolerance, in its unit."""
     return 0.4 * tolerance if tolerance else STEP
 
 

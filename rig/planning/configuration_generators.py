@@ -31,13 +31,17 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 
 
 def sobol_configurations(strokes: Floats, count: int, fill: float = FILL, seed: int = 0) -> Floats:
-    """Sobol configurations (count, axes) that cover the middle `fill` of the strokes (axes, 2) evenly."""
+    """Sobol configurations (count, axes) over the strokes (axes, 2).
+
+    They cover the middle `fill` of them evenly.
+    """
     return scale_to_strokes(strokes, 2 * _sobol_points(len(strokes), count, seed) - 1, fill)
 
 
 def evenly_spread_configurations(mechanism: Commanded, count: int, fill: float = FILL, seed: int = 0) -> Floats:
-    """Sobol configurations (count, axes) of a mechanism, m or rad, that cover the middle `fill` of its travel evenly.
+    """Evenly spread configurations (count, axes) of a mechanism, m or rad.
 
+    Sobol points that cover the middle `fill` of its travel.
     Of more than six struts the nearest that close on poses. Raises NotConverged where none do
     """
     found = sobol_configurations(mechanisms.kinematics_of(mechanism).travel_ranges(mechanism), count, fill, seed)
@@ -55,8 +59,9 @@ def _sobol_points(axes: int, count: int, seed: int) -> Floats:
 
 
 def grid_configurations(strokes: Floats, per_axis: int, fill: float = FILL) -> Floats:
-    """Grid configurations (per_axis ** axes, axes), even over the strokes, in serpentine order.
+    """Grid configurations (per_axis ** axes, axes) over the strokes.
 
+    Even, in serpentine order.
     Raises RigError for less than two points an axis.
     """
     if per_axis < 2:
@@ -78,8 +83,9 @@ def _vertices(levels: Sequence[Floats]) -> list[tuple[float, ...]]:
 
 
 def divided_grid_configurations(strokes: Floats, division: str) -> Floats:
-    """Grid configurations (vertices, axes) of a division of each axis ("3", "3x3x2x3x3x2"), serpentine.
+    """Grid configurations (vertices, axes) of a division of each axis.
 
+    In serpentine order.
     strokes : (axes, 2); division : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of
         the
     strokes, or over another share of them, "3@0.5"; or the name of a table axis,level with the levels of each axis,
@@ -149,8 +155,9 @@ def _levels_of_file(strokes: Floats, path: Path) -> list[Floats]:
 
 
 def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL) -> Floats:
-    """Configurations (n, axes) at the centre, the axis ends and half of the corners of the strokes, in shells.
+    """Simplex configurations (n, axes) over the strokes, in shells.
 
+    At the centre, the axis ends and half of the corners.
     The corners are a half fraction of the cube's, which with the ends split it into simplices.
     strokes : (axes, 2) m or rad
     """
@@ -164,8 +171,9 @@ def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL)
 
 
 def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
-    """Commands (6 per_axis, axes) of pose moves along and about single axes X, Y, Z through home.
+    """Commands (6 per_axis, axes) of pose moves along and about single axes.
 
+    X, Y, Z through home.
     Raises RigError for a mechanism that is not a hexapod.
     Source: on-line learning patent, [0011]-[0015]
     """
@@ -174,8 +182,9 @@ def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
 
 
 def moves_combining_translation_and_rotation(design: Design, per_pair: int = 6) -> Floats:
-    """Commands (18 per_pair, axes) of moves that combine a translation and a rotation through home.
+    """Commands (18 per_pair, axes) of moves that combine a translation and a rotation.
 
+    Through home.
     Raises RigError for a mechanism that is not a hexapod
     """
     mechanism = _hexapod(design, "combined plans are for hexapods")
@@ -217,8 +226,9 @@ def _reach(mechanism: Hexapod, ways: Floats) -> Floats:
 
 
 def iso9283_five_test_pose_commands(design: Design) -> Floats:
-    """Commands (5, axes) of the test poses P1 to P5 of ISO 9283, each once.
+    """Commands (5, axes) of the five test poses of ISO 9283.
 
+    P1 to P5, each once.
     P1 is the middle of a cube; P2 to P5 lie on the diagonals of a plane through four of its corners, a tenth of the
     diagonal from each.
     Raises RigError for a mechanism that is not a hexapod.

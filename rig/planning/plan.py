@@ -1,5 +1,6 @@
-"""Plan of a recording, built from named parts.
+"""Plan of a recording.
 
+Built from named parts.
 Configurations to visit, their order, how long, what payload.
 
 A plan is written as parts separated by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
@@ -73,8 +74,9 @@ def build_plan(
     one_sided: bool = False,
     additional_parts: Mapping[str, Floats] | None = None,
 ) -> Plan:
-    """Build the Plan of a design from its text, for example "sobol:100,moving:60".
+    """Build the Plan of a design from its text.
 
+    For example "sobol:100,moving:60".
     "standard" stands for STANDARD.
     one_sided : whether every configuration at which the struts settle is reached from shorter struts
     additional_parts : {part: configurations (n, axes) that it visits in that order}, besides these
@@ -137,8 +139,9 @@ def build_plan(
 
 
 def nearest_compatible_commands(values: Floats, design: Design) -> Floats:
-    """Commands (n, axes) that agree: themselves, or of more than six struts the nearest that close on a pose.
+    """Commands (n, axes) nearest to values (n, axes) that are compatible.
 
+    Of more than six struts they close on a pose.
     Joints that follow others are commanded as their leaders have them.
     """
     m = require_axes(design.mechanism)

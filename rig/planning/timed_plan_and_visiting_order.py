@@ -71,7 +71,7 @@ def time_balanced_order(configurations: Floats, rng: np.random.Generator) -> Int
 def balanced_approach_lengths(
     configurations: Floats, rng: np.random.Generator, strokes: Floats, other_variables: Sequence[Floats] = ()
 ) -> Floats:
-    """Approach lengths (n, axes) m or rad to configurations, sides balanced.
+    """Lengths of approaches (n, axes) m or rad to configurations, balanced by side.
 
     Positive from below.
 
@@ -349,7 +349,9 @@ def require_commands_in_range(table: csv_and_parquet_tables_and_time_origin.Tabl
 
 
 def write_plan_table(path: Path, plan: Plan, axis_names: tuple[str, ...]) -> None:
-    """Write a Plan as a table in time, which `build_plan` reads as commands:FILE.
+    """Write a Plan as a table.
+
+    In time; `build_plan` reads it as commands:FILE.
     axis_names : names of their columns, which stand last
     """
     loaded, exposed = np.round(plan.payload[:, 0], DIGITS), np.round(plan.t, DIGITS)

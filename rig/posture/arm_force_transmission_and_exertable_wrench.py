@@ -136,8 +136,11 @@ def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
     return every[((torque >= low - slack) & (torque <= high + slack)).all(axis=1)]
 
 
-def weakest_force_and_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
-    """Greatest force, N, exertable in every direction, and the direction (3,) in which no more is."""
+def force_in_every_direction_and_weakest_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
+    """Greatest force, N, exertable in every direction, and the weakest direction (3,).
+
+    In that direction no more is.
+    """
     size = np.linalg.norm(A, axis=1)
     bearing = np.where(size > FELT * size.max(), np.minimum(high, -low) / np.maximum(size, 1e-300), np.inf)
     i = int(bearing.argmin())
@@ -204,7 +207,10 @@ def torque_norms_by_direction(q: Floats, arm: Arm, objective: TransmissionObject
 
 
 def transmission_gradient(q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective) -> Floats:
-    """Gradient (..., n) of the transmission measure with the joint angles, analytic."""
+    """Gradient (..., n) of the transmission measure with the joint angles.
+
+    It is analytic.
+    """
     if isinstance(objective, ExertionObjective):
         return objective.slope(q, arm)
     J = _scaled_jacobian(q, arm, objective)

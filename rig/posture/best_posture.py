@@ -1,5 +1,6 @@
-"""Best posture of a redundant arm at a fixed hand pose, and the motion into it.
+"""Best posture of a redundant arm.
 
+At a fixed hand pose, with the motion into it.
 It is searched for, or is the best of those visited.
 """
 
@@ -24,9 +25,9 @@ from rig.posture import (
 from rig.posture.arm_force_transmission_and_exertable_wrench import (
     ExertionObjective,
     TransmissionObjective,
+    force_in_every_direction_and_weakest_direction,
     force_polytope_corners,
     joint_torques_for_wrench,
-    weakest_force_and_direction,
 )
 from rig.posture.null_space_posture_search import SearchResult
 from rig.posture.self_motion_sweep import PostureSweep, sweep_self_motion
@@ -126,8 +127,9 @@ class PostureResult(OneLineRepr):
 
 
 def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
-    """PostureResult of an arm, as `rig arm posture` makes it.
+    """Best posture (PostureResult) of an arm.
 
+    As `rig arm posture` makes it.
     Raises RigError for an arm with several hands, for a hand that is elsewhere than stated, and where nothing exceeds
         the measure that is wanted; Unreachable for a pose that no joint values give
     """
@@ -137,8 +139,9 @@ def best_posture(arm: Arm, options: PostureOptions) -> PostureResult:
 
 
 def posture_sweep(arm: Arm, options: PostureOptions, step: float) -> PostureSweep:
-    """PostureSweep of an arm, as `rig arm posture --sweep` makes it, through the start or a solution of a pose.
+    """Sweep of postures (PostureSweep) of an arm.
 
+    As `rig arm posture --sweep` makes it, through the start or a solution of a pose.
     options : T_base_hand, fixed and start count; step : rad, of slides m, of the fastest joint
     Raises RigError for coupled joints, for what is of a search, for a hand that is elsewhere than stated, and what the
         sweep raises; Unreachable for a pose that no joint values give
@@ -305,7 +308,7 @@ def exertion_dict(q: Floats, arm: Arm, exertion: ExertionObjective) -> Json:
     if bears:
         A = _torques_of_unit_forces(q, arm)
         every = force_polytope_corners(A, low, high)
-        size, least = np.linalg.norm(every, axis=1), weakest_force_and_direction(A, low, high)
+        size, least = np.linalg.norm(every, axis=1), force_in_every_direction_and_weakest_direction(A, low, high)
         out["strongest"] = {"force": float(size.max()), "direction": (every[size.argmax()] / size.max()).tolist()}
         out["weakest"] = {"force": least[0], "direction": least[1].tolist()}
     return out

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import RigError
-from rig.formats.rig_toml.arm_dynamics_entries import load_arm_dynamics
+from rig.formats.rig_toml.arm_dynamics_entries import load_arm_design_and_dynamics
 from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_single_hand_mechanism
 from rig.model.design import Design
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
@@ -125,13 +125,15 @@ class WrenchResult(OneLineRepr):
 
 
 def measure_wrench(arm_path: Path, torques: Path, options: WrenchOptions = WrenchOptions()) -> WrenchResult:
-    """WrenchResult of a table of torques, as `rig arm wrench` makes it.
+    """Measure the external wrench (WrenchResult) on an arm from a table of torques.
+
+    As `rig arm wrench` makes it.
 
     arm_path : rig.toml of an arm with [dynamics]
     Raises FileError for a table that cannot be read, RigError for dynamics that are not stated and for an arm with
         several hands
     """
-    design, dynamics = load_arm_dynamics(arm_path)
+    design, dynamics = load_arm_design_and_dynamics(arm_path)
     arm = require_arm(design.mechanism)
     require_single_hand_mechanism(arm, "a wrench is estimated")
     require_no_couplings(arm, "a wrench is estimated")

@@ -54,7 +54,7 @@ class SearchResult:
 def given_postures_as_search_result(
     q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective
 ) -> SearchResult:
-    """Postures q (m, n) rad as they are, as a SearchResult, without a search.
+    """Given postures q (m, n) rad as a SearchResult, without a search.
 
     Raises RigError outside the joint limits.
     """
@@ -70,8 +70,9 @@ def gradient_search(
     fixed_hand_part: str = "pose",
     sufficient_value: float | None = None,
 ) -> SearchResult:
-    """SearchResult of a gradient search (steepest ascent) from postures q (m, n) rad in the null space.
+    """SearchResult of a gradient search from postures q (m, n) rad.
 
+    Steepest ascent in the null space.
     fixed_hand_part : "pose", "position" where the hand may turn, "orientation" where it may move; sufficient_value : a
         limit at which it suffices to stop
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
@@ -148,7 +149,7 @@ def sampled_search(
 def whole_self_motion_search(
     q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective, fixed_hand_part: str = "pose"
 ) -> SearchResult:
-    """SearchResult of a global search.
+    """SearchResult of a search over the whole self-motion.
 
     Best posture of the whole self-motion through each start (m, n) rad.
 
@@ -173,7 +174,10 @@ def whole_self_motion_search(
 
 
 def trace_self_motion(q: Floats, arm: Arm, fixed_hand_part: str = "pose") -> Floats:
-    """Self-motion (k, n) rad traced through a posture q (n,) from end to end, or once round."""
+    """Trace the self-motion (k, n) rad through a posture q (n,).
+
+    From end to end, or once round.
+    """
     q = _starts(np.atleast_2d(q), arm, fixed_hand_part)
     ahead, behind = [[walker[0] for _, walker in _walk(q, arm, fixed_hand_part, side)] for side in (1.0, -1.0)]
     return np.array([*behind[::-1], q[0], *ahead])
@@ -234,7 +238,7 @@ def _starts(q: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
 
 
 def redundant_joint_count(arm: Arm, fixed_hand_part: str) -> int:
-    """Count of an arm's redundant joints beyond those that fix the hand.
+    """Count of an arm's redundant joints, beyond those that fix the hand.
 
     It is 0 or less for none.
     """
@@ -277,7 +281,10 @@ def _uphill(q: Floats, arm: Arm, wish: TransmissionObjective | ExertionObjective
 
 
 def joint_angles_returning_hand_to_target(q: Floats, target: Floats, arm: Arm, fixed_hand_part: str) -> Floats:
-    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4), by Newton's method."""
+    """Joint angles near q (m, n) that return the hand to its target (m, 4, 4).
+
+    By Newton's method.
+    """
     for _ in range(6):
         frames = mechanism.joint_frames(q, arm)
         e = _error(frames.tip, target, fixed_hand_part)

@@ -1,5 +1,6 @@
-"""Sweep of a self-motion: postures at even steps with the hand still, as commands of a plan.
+"""Sweep of an arm's self-motion.
 
+Postures at even steps with the hand still, as commands of a plan.
 Source: patent on force measurement with redundant manipulators, [0021], [0022].
 """
 
@@ -72,8 +73,9 @@ class PostureSweep:
 
 
 def sweep_self_motion(start: Floats, arm: Arm, step: float, fixed_hand_part: str = "pose") -> PostureSweep:
-    """PostureSweep through a posture, from there to the nearer end of its self-motion, then to the other end.
+    """Sweep of a self-motion (PostureSweep) from a starting posture.
 
+    From there to the nearer end of its self-motion, then to the other end.
     start : (n,) rad and m; step : rad, of slides m, that the fastest joint moves between two visits at the most
     A self-motion that closes on itself is visited once round, from the start on.
     Raises RigError for a step too small, several hands, a start outside the limits, and a self-motion of more or fewer

@@ -24,7 +24,7 @@ import scipy
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from rig.formats.checked_entries import nearest_known_word
+from rig.formats.checked_toml_and_json_entries import nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.model.mechanism_geometry_classes import Arm
@@ -86,7 +86,7 @@ class ObservedWrench:
 def momentum_observer_model(
     motion: ArmMotion, arm: Arm, links: LinkMasses, gravity: Floats, sigmas: tuple[Floats, Floats, Floats]
 ) -> ObserverModel:
-    """Model of the momentum observer for an ArmMotion, computed once.
+    """Model (ObserverModel) of the momentum observer for an ArmMotion.
 
     sigmas : (n,) of torque, angle, speed
     """
@@ -101,7 +101,7 @@ def momentum_observer_model(
 
 
 def wrench_by_momentum_observer(model: ObserverModel, rates: Floats) -> ObservedWrench:
-    """Observe the external wrench over time by an ObserverModel.
+    """External wrench over time (ObservedWrench) by the momentum observer.
 
     rates : (6,) N/sqrt(s), Nm/sqrt(s), of the wrench's random walk
     Returns ObservedWrench
@@ -218,7 +218,7 @@ class TorqueRecord:
 
 
 def load_torque_table(path: Path, arm: Arm, dynamics: ArmDynamics, source: Path) -> TorqueRecord:
-    """TorqueRecord loaded from a table of torques.
+    """Load a table of torques as a TorqueRecord.
 
     Columns t, q1.., tau1.. (N m) or i1.. (A), with speeds v1.. if present.
     source : the arm's file, for what its [dynamics] lacks. Raises FileError with line and column for what cannot be
@@ -310,7 +310,7 @@ def external_joint_torques(
 
 
 def is_wrench_observable(q: Floats, arm: Arm, covariance: Floats) -> Booleans:
-    """Whether (...,) every wrench is observable in the joint torques at joint values q (..., n) rad."""
+    """Whether (...,) a wrench is observable in the joint torques at joint values q (..., n) rad."""
     S = np.linalg.svd(_whitened(mechanism.jacobian(q, arm, "base"), covariance)[1], compute_uv=False)
     return S[..., -1] >= FELT * S[..., 0] if q.shape[-1] >= 6 else np.zeros(S.shape[:-1], bool)
 

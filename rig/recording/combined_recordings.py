@@ -33,7 +33,10 @@ Owners = tuple[
 
 
 def require_one_rig(recordings: Sequence[Recording]) -> None:
-    """Raise RigError unless all recordings are of one rig and of one kind of data."""
+    """Raise RigError unless all recordings are of one rig.
+
+    And of one kind of data.
+    """
     first = recordings[0]
     seen: set[str] = set()
     for recording in recordings:
@@ -61,7 +64,7 @@ def require_one_rig(recordings: Sequence[Recording]) -> None:
 
 
 def first_recording_by_camera(recordings: Sequence[Recording]) -> Owners:
-    """First recording with each camera as it is, by camera.
+    """First recording that has each camera as it is, by camera.
 
     It is a new one where lens or mount differs.
     """
@@ -84,8 +87,9 @@ def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: in
 
 
 def join_recordings(recordings: Sequence[Recording], owners: Owners) -> Recording:
-    """Join recordings into one Recording, whose `parts` they are.
+    """Join recordings into one Recording.
 
+    They are its `parts`.
     Frames of the k-th (from 0) count on from k times a power of ten, its cameras and cubes with a place of their own
     are called "NAME@k+1"
     Raises RigError as `require_one_rig`
@@ -129,7 +133,10 @@ def combined_camera_name(camera: str, owners: dict[str, int]) -> str:
 
 
 def is_measured_by_instrument(recording: Recording) -> bool:
-    """Whether a recording is measured by an outside instrument's poses."""
+    """Whether a recording is measured by an instrument.
+
+    By poses of an outside one.
+    """
     return recording.poses is not None and (
         recording.design.instrument is not None or (recording.corners is None and not recording.has_images)
     )
@@ -263,7 +270,10 @@ def _poses(parts: Sequence[RecordingPart], stage: int | None) -> Poses | None:
 
 
 def sensor_channels_missing_in_some_recordings(recordings: Sequence[Recording]) -> list[str]:
-    """Sensor channels that are not in all recordings, and are dropped."""
+    """Sensor channels that are missing in some recordings.
+
+    They are dropped.
+    """
     own = [set(r.sensors.channels) if r.sensors is not None else set() for r in recordings]
     return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
 

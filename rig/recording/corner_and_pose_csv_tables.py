@@ -1,4 +1,4 @@
-"""Tables (CSV) of a recording.
+"""CSV tables of corners and poses.
 
 They are loaded with checks, and written. Directions are azimuth and elevation, or unit vectors.
 """
@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import FileError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
-from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, Table, TableFormat, read_csv_table
 from rig.formats.output_files import write_text
 from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table_of_poses
@@ -28,14 +28,14 @@ HAND = "hand"
 
 
 def frame_column(rows: Table, known_frames: set[int] | None) -> Integers:
-    """(n,) frame of each row. Raises FileError for one that is not known, and for one that is listed twice."""
+    """Frame numbers (n,) of a table's rows. Raises FileError for one unknown, and for one listed twice."""
     return frame_and_hand_columns(rows, known_frames, ())[0]
 
 
 def frame_and_hand_columns(
     rows: Table, known_frames: set[int] | None, hands: tuple[str, ...]
 ) -> tuple[Integers, Integers | None]:
-    """(frame (n,), number (n,) of the hand) of each row; no numbers where there are no names of hands.
+    """Frame numbers (n,) of a table's rows, and hand numbers (n,) where hands have names.
 
     Raises FileError for a frame or hand that is not known, and for one that is listed twice
     """
@@ -55,7 +55,7 @@ def frame_and_hand_columns(
 
 
 def rows_of_hand(rows: Table, hands: tuple[str, ...], hand: str) -> Table:
-    """The rows of a table whose column `hand` names one of several hands; all where there is no such column.
+    """The rows of a table that belong to a hand; all where it has no column `hand`.
 
     Raises FileError for a name that no hand has, and for a table without a row of this hand
     """
@@ -115,7 +115,7 @@ def read_poses_csv_of_directions(path: str | Path, form: TableFormat = PLAIN) ->
 
 
 def directions_of_angles(angles: Floats) -> Floats:
-    """Unit vectors (..., 3) of azimuth and elevation (..., 2) rad, in a frame with x north, y east and z down."""
+    """Directions (..., 3) of azimuth and elevation (..., 2) rad; x is north, y east and z down."""
     azimuth, elevation = np.moveaxis(np.asarray(angles, float), -1, 0)
     level = np.cos(elevation)
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(elevation)], axis=-1)
@@ -252,7 +252,7 @@ def load_poses(
     hands: tuple[str, ...] = (),
     hand: str | None = None,
 ) -> Poses:
-    """Load the Poses of a poses.csv, measured or wanted.
+    """Load the Poses of a poses.csv.
 
     known_frames : set of frame numbers that there are, or None; positions_only : rotations and covariances, if there
     are any, mean nothing: the poses are unrotated; are_commands : a covariance may be 0 in directions in which the
@@ -283,7 +283,7 @@ def load_instrument_poses(
     form: TableFormat = PLAIN,
     hands: tuple[str, ...] = (),
 ) -> Poses:
-    """Load the Poses of a poses.csv as its instrument measures them: poses, orientations, distances or directions.
+    """Load the Poses of a poses.csv as its instrument measures them.
 
     form : of the file, where it holds poses or directions; hands : as there. Raises FileError with line and column
     """
@@ -346,7 +346,7 @@ def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
 def write_configurations(
     path: Path, axis_names: Iterable[str], configurations: Floats, reached_from: Floats | None = None
 ) -> None:
-    """Write a CSV of configurations (k, axes) m or rad, numbered from 0, for the plan commands:FILE.
+    """Write a CSV of configurations (k, axes) m or rad, numbered from 0.
 
     reached_from : (k, axes) m or rad from which each is approached, written as rows without a frame before it; or None
     """

@@ -77,7 +77,9 @@ def problem_of_open_image_file(
 
 
 def image_size_from_header(path: Path) -> tuple[int, int] | None:
-    """Image size (width, height) px from an image file's header, None where it is no image.
+    """Image size (width, height) px from an image file's header.
+
+    None where it is no image.
     Raises FileError where it cannot be opened.
     """
     with open_regular_file(path, "no such image") as file:
@@ -164,7 +166,10 @@ class UnreadableImage:
 
 
 def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
-    """Error that names the unusable images, LISTED of them at most."""
+    """Error that names unusable images.
+
+    LISTED of them at most.
+    """
     more = [f"  {b.path}: {b.problem}" for b in unusable[1:LISTED]] + (
         [f"  and {len(unusable) - LISTED} more"] if len(unusable) > LISTED else []
     )
@@ -184,7 +189,7 @@ def undecodable_image_problem(path: Path) -> str | None:
 
 
 def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
-    """Read an image (rows, columns) or (rows, columns, 3), `max_pixels` at most.
+    """Read an image (rows, columns) or (rows, columns, 3).
     max_pixels : px that it may have.
 
     Raises FileError for one that cannot be decoded
@@ -250,7 +255,7 @@ def undecodable_images(folder: Path, exposures: Exposures) -> list[UnreadableIma
     return found
 
 
-def load_exposures(
+def load_exposures_and_unreadable_images(
     folder: Path,
     design: Design,
     frames_table: Table,
@@ -258,8 +263,9 @@ def load_exposures(
     skip_unreadable: bool = False,
     largest_time_difference: float = SIMULTANEOUS,
 ) -> tuple[Exposures, list[UnreadableImage]]:
-    """Load (Exposures, [UnreadableImage]) from the rows of a frames.csv.
+    """Load (Exposures, [UnreadableImage]) of a frames.csv.
 
+    From its rows.
     largest_time_difference : s that those of a frame may differ by
     skip_unreadable : whether images that cannot be used are left out, which takes decoding every one; else they are
         errors, all of them named in one. Raises FileError with line and column.

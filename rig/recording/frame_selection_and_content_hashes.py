@@ -42,7 +42,7 @@ FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
 
 def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
-    """Frame ranges ((first, last), ..) parsed from text like 3,7-9.
+    """Parse frame ranges ((first, last), ..) from a text like 3,7-9.
 
     Raises RigError for anything else.
     """
@@ -56,8 +56,9 @@ def parse_frame_ranges(text: str) -> tuple[tuple[int, int], ...]:
 
 
 def remove_frames(recording: Recording, frame_ranges: str) -> Recording:
-    """The Recording with frames removed, by ranges like 3,7-9.
+    """The Recording with frames removed.
 
+    By ranges like 3,7-9.
     Its commands remain.
     Raises RigError for what is no such list and for what names no frame of the recording, NotEnoughData where no frame
         is left
@@ -88,8 +89,9 @@ def select_frames(recording: Recording, frames: Integers) -> Recording:
 
 
 def select_hand(recording: Recording, hand: str | int) -> Recording:
-    """The Recording of one hand, by name or number from 0, of an arm with several: its poses alone, the arm seen there.
+    """The Recording of one selected hand, by name or number.
 
+    From 0, of an arm with several: its poses alone, the arm seen there.
     Raises RigError for a hand that the arm does not have, and for another machine
     """
     arm, poses, corners = require_arm(recording.design.mechanism).of_hand(hand), recording.poses, recording.corners
@@ -104,14 +106,20 @@ def select_hand(recording: Recording, hand: str | int) -> Recording:
 
 
 def hands_with_seen_targets(recording: Recording, corners: Corners | None) -> tuple[str, ...]:
-    """Names of the hands of an arm with several that have targets, and of these corners where corners are known."""
+    """Names of the hands whose targets are seen.
+
+    Hands of an arm with several that have targets, and of these corners where corners are known.
+    """
     bodies = [(one.stage, one.ids) for one in recording.design.targets if one.body != "base"]
     seen = [k for k, ids in bodies if corners is None or np.isin(corners.marker, ids).any()]
     return tuple(name for k, name in enumerate(hand_names(recording.design.mechanism)) if k in seen)
 
 
-def recording_of_first_seen_hand(recording: Recording, corners: Corners) -> tuple[Recording, Corners]:
-    """(Recording, Corners) of the first of an arm's hands whose target is seen in corners; as they are without one."""
+def recording_and_corners_of_first_seen_hand(recording: Recording, corners: Corners) -> tuple[Recording, Corners]:
+    """Recording and Corners of the first hand whose target is seen.
+
+    First of an arm's hands; as they are without one.
+    """
     names = hands_with_seen_targets(recording, corners)
     if not names:
         return recording, corners
@@ -120,14 +128,20 @@ def recording_of_first_seen_hand(recording: Recording, corners: Corners) -> tupl
 
 
 def is_of_several_hands(recording: Recording) -> bool:
-    """Whether a recording shows several hands of one arm, by poses or by targets."""
+    """Whether a recording is of several hands of one arm.
+
+    By poses or by targets.
+    """
     names, poses = hand_names(recording.design.mechanism), recording.poses
     seen = any(target.stage for target in recording.design.targets)
     return bool(names) and (seen or (poses is not None and poses.hand is not None))
 
 
 def require_one_hand_shown(recording: Recording) -> None:
-    """Raise RigError for a recording that shows several hands, with how to choose one."""
+    """Raise RigError for a recording that shows several hands.
+
+    It says how to choose one.
+    """
     if is_of_several_hands(recording):
         raise RigError(
             f"{recording.folder} is of several hands ({', '.join(hand_names(recording.design.mechanism))}), and this "
@@ -162,8 +176,9 @@ Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 
 def content_hashes_of_frames(recording: Recording) -> Marks:
-    """Content hashes of a recording's frames, and of the data they were measured from.
+    """Content hashes of a recording's frames.
 
+    And of the data they were measured from.
     Raises FileError for an image that cannot be read.
     """
     if recording.parts:
@@ -178,7 +193,7 @@ def content_hashes_of_frames(recording: Recording) -> Marks:
 
 @contextmanager
 def hash_frame_contents_in_background(recording: Recording) -> Iterator[Callable[[], Marks]]:
-    """Start hashing a recording's frames in background threads.
+    """Hash the contents of a recording's frames in background threads.
 
     Returns a function that gives the hashes
     """
@@ -214,17 +229,23 @@ def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
 
 
 def manifest_lines_of_frame_hashes(hashes: Marks) -> tuple[str, ...]:
-    """Manifest lines of frames' hashes, "frame hash" each."""
+    """Lines of a manifest with the hashes of frames.
+
+    "frame hash" each.
+    """
     return tuple(f"{frame} {mark}" for frame, own in sorted(hashes.items()) for mark in sorted(own))
 
 
 def sorted_hashes_of_frames(hashes: Marks, frames: Iterable[int] | None = None) -> list[str]:
-    """Sorted union of the content hashes of some frames, all by default."""
+    """Sorted hashes of some frames.
+
+    Their union, of all frames by default.
+    """
     return sorted(set().union(*(own for frame, own in hashes.items() if frames is None or frame in set(frames))))
 
 
 def frames_with_known_hashes(hashes: Marks, known_hashes: Collection[str]) -> list[int]:
-    """Frames that have known hashes."""
+    """Frames whose hashes are among known hashes."""
     known_hashes = frozenset(known_hashes)
     return sorted(frame for frame, own in hashes.items() if own & known_hashes)
 

@@ -1,4 +1,7 @@
-"""Folder of a recording, loaded into arrays (Recording) and checked."""
+"""Folder of a recording, and its loading.
+
+It is loaded into arrays (Recording) and checked.
+"""
 
 import re
 from collections.abc import Sequence
@@ -11,7 +14,7 @@ from numpy.typing import ArrayLike
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
-from rig.formats.checked_entries import name_problem
+from rig.formats.checked_toml_and_json_entries import name_problem
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.numbers_and_units import count_text
@@ -30,7 +33,13 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, target_bodies
 from rig.recording.corner_and_pose_csv_tables import Corners, Poses, load_corners, load_instrument_poses
-from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS, Exposures, UnreadableImage, load_exposures
+from rig.recording.exposures_and_image_files import (
+    ONE_FRAME,
+    SIMULTANEOUS,
+    Exposures,
+    UnreadableImage,
+    load_exposures_and_unreadable_images,
+)
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
@@ -161,7 +170,9 @@ class RecordingPart:
 
 
 def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recording:
-    """Load the Recording of a folder, local or behind a URL.
+    """Load the Recording of a folder.
+
+    Local or behind a URL.
     skip_unreadable : whether images that cannot be used are left out, into `skipped`.
 
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
@@ -188,7 +199,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
     )
     origin = (exposed if commanded is None else commanded).first_time_origin()
     apart = SIMULTANEOUS if commanded is None else ONE_FRAME
-    exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable, apart)
+    exposures, skipped = load_exposures_and_unreadable_images(folder, design, exposed, origin, skip_unreadable, apart)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
@@ -233,13 +244,17 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
 
 
 def load_sensors(path: str | Path, origin: TimeOrigin) -> Sensors:
-    """Load Sensors from a sensors.csv, times relative to an TimeOrigin. Raises FileError with line and column."""
+    """Load Sensors from a sensors.csv.
+
+    Times are relative to a TimeOrigin. Raises FileError with line and column.
+    """
     return _sensor_rows(csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("t",)), origin)
 
 
 def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: Sensors) -> Sensors:
-    """Sensors with channels of gravity in the base frame where the base tilts. gravity : (3,) m/s^2 at zero tilt
+    """Sensors with channels of gravity.
 
+    In the base frame, where the base tilts. gravity : (3,) m/s^2 at zero tilt
     Gravity that was logged itself, by an accelerometer on the base, is left as it is. Rows are added where a tilt
     changes much, as gravity is interpolated between them.
     Raises RigError where a tilt was not logged, or gravity in part
@@ -311,7 +326,10 @@ def _commands(rows: Table, design: Design, exposures: Exposures, origin: TimeOri
 
 
 def require_follower_joint_values_match_leaders(rows: Table, values: Floats, arm: Arm) -> None:
-    """Raise FileError for a row of commanded values (n, axes) in which a joint is not where its leader has it."""
+    """Raise FileError unless follower joint values match their leaders.
+
+    It names a row of commanded values (n, axes) in which a joint is not where its leader has it.
+    """
     off = np.abs(arm.with_followers(values) - values)
     for i, j in np.argwhere(off > COUPLED)[:1].tolist():
         one = next(one for one in arm.couplings if one.joint == j)
@@ -363,8 +381,9 @@ def _covers(rows: Table, t: Floats, exposures: Exposures, origin: TimeOrigin) ->
 
 
 def copy_frames_commands_and_sensors(source: Path, target: Path, exposures: Exposures, origin: TimeOrigin) -> None:
-    """Copy frames.csv (without image names), commands.csv and sensors.csv from one folder to another.
+    """Copy frames, commands and sensors of a recording from one folder to another.
 
+    frames.csv (without image names), commands.csv and sensors.csv.
     origin : TimeOrigin that the folder's times are told by
     """
     lines = ["frame,t,camera,image"]

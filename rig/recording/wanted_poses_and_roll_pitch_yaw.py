@@ -35,8 +35,9 @@ class WantedPoses:
 
 
 def load_wanted_poses(path: str | Path, form: TableFormat = PLAIN, mechanism: object = None) -> WantedPoses:
-    """Load WantedPoses from a table frame,x,y,z,rx,ry,rz or frame,azimuth,elevation, with or without t.
+    """Load WantedPoses from a table.
 
+    It is frame,x,y,z,rx,ry,rz or frame,azimuth,elevation, with or without t.
     form : of the file; mechanism : that is to take them. Of an arm with several hands the rows of the hand at which it
     is seen are taken, where the table has a column hand. Raises FileError with line and column
     """
@@ -61,7 +62,10 @@ ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def write_poses_as_roll_pitch_yaw(path: Path, poses: Poses) -> None:
-    """Write poses as x, y, z (m) and roll, pitch, yaw (rad), with standard deviations u_* where known."""
+    """Write poses as roll, pitch and yaw (rad), with x, y, z (m).
+
+    With standard deviations u_* where known.
+    """
     sure = poses.covariance is not None
     rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
     lines = [

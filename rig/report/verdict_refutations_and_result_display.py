@@ -148,7 +148,7 @@ def judge_evidence(evidence: Evidence) -> Verdict:
 
 
 def worst_state(states: Sequence[State]) -> State:
-    """Worst of several states of verdicts.
+    """Worst state of several verdicts.
 
     CHECK where there is none.
     """
@@ -156,7 +156,10 @@ def worst_state(states: Sequence[State]) -> State:
 
 
 def exit_status(verdict: Verdict) -> int:
-    """Exit status by the verdict on an earlier result: REFUTED where it is bad, else 0."""
+    """Exit status by a verdict on an earlier result.
+
+    REFUTED where it is bad, else 0.
+    """
     return REFUTED if verdict.state == State.BAD else 0
 
 
@@ -195,8 +198,9 @@ class Refutation:
 
 
 def load_refutations(folder: Path) -> tuple[Refutation, ...]:
-    """Load the refutations of a folder, () where there are none.
+    """Load the refutations of a folder.
 
+    () where there are none.
     Raises FileError for an invalid file.
     """
     path = folder / NAME
@@ -214,8 +218,9 @@ def load_refutations(folder: Path) -> tuple[Refutation, ...]:
 
 
 def refutations_of_file(path: Path) -> tuple[Refutation, ...]:
-    """Refutations of a result file, by its SHA-256, oldest first.
+    """Refutations of a result file.
 
+    By its SHA-256, oldest first.
     Raises FileError as `load_refutations` does.
     """
     known = load_refutations(path.parent)

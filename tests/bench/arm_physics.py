@@ -20,7 +20,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.certification import certify_arm
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml

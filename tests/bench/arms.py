@@ -165,7 +165,7 @@ def _real():
         )
         held = calibration_file.load(out).held_out
     from calib.models.arm.certification import certify_arm
-    from calib.samples.pose_samples import sample_recording
+    from calib.samples.commanded_and_measured_pose_samples import sample_recording
     from rig.recording import recording_folder
 
     folder = recording_folder.load_recording(SHARED / "recordings/arm-1")

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthetic.diagnosis_score import score_case
+from synthetic.blind_diagnosis_score import score_case
 from tests.cli import RIG
 from tests.conftest import SHARED
 

@@ -19,7 +19,7 @@ from calib.correction.correction_field_methods_fitting_combination_and_json impo
     measured_correction_summands,
 )
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement

@@ -19,11 +19,11 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
     diagnosis_report,
     write_diagnosis_json_and_simulation_files,
 )
-from calib.samples.pose_samples import Sampled, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording
-from synthetic import diagnosis_score, random_blind_platform_cases_with_truth
+from synthetic import blind_diagnosis_score, random_blind_platform_cases_with_truth
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.vision.drawn_observations import nees
 from tests.vision.test_recording_adjustment import joint_chi2
@@ -66,7 +66,7 @@ def rows() -> Iterator[tuple[str, str, str]]:
                 if kind == "nothing":
                     figures.append(true(case, sampled))
                 found.append(
-                    diagnosis_score.score_case(
+                    blind_diagnosis_score.score_case(
                         index, truth, diagnosis_of(recorded, sampled, Path(folder) / f"{kind}{index}")
                     )
                 )
@@ -120,7 +120,7 @@ def _named(still, one):
         str(sum(bool(c.found) or c.unexplained for c in still)),
         "<= 1",
     )
-    figures = {f.name: f for f in diagnosis_score.campaign_rates_with_intervals([*still, *one])}
+    figures = {f.name: f for f in blind_diagnosis_score.campaign_rates_with_intervals([*still, *one])}
     for name, missed, most in (
         ("detected", "not detected", 2),
         ("named first", "not named first", 4),
@@ -128,7 +128,7 @@ def _named(still, one):
         ("nothing else named", "something else named", ""),
     ):
         f = figures[f"one effect: {name}"]
-        figure = f"one effect at signal-to-noise >= {diagnosis_score.STRONG:g}, {f.trials} recordings: {missed}"
+        figure = f"one effect at signal-to-noise >= {blind_diagnosis_score.STRONG:g}, {f.trials} recordings: {missed}"
         yield figure, str(f.trials - f.hits), f"<= {most}" if most else ""
     f = figures["95 % intervals that cover"]
     yield (
@@ -147,7 +147,7 @@ def cases(kind: str, wanted: int) -> list[int]:
     out, index = [], 0
     while len(out) < wanted:
         index += 1
-        if min(strength(drawn_case(kind, index)), default=np.inf) >= diagnosis_score.STRONG:
+        if min(strength(drawn_case(kind, index)), default=np.inf) >= blind_diagnosis_score.STRONG:
             out.append(index)
     return out
 
@@ -196,7 +196,7 @@ def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     return out / "diagnosis.json"
 
 
-def right(case: diagnosis_score.Case) -> bool:
+def right(case: blind_diagnosis_score.Case) -> bool:
     """Whether the one hidden effect is named first, at its place, and nothing else."""
     hidden = case.hidden[0]
     return (
@@ -206,7 +206,7 @@ def right(case: diagnosis_score.Case) -> bool:
     )
 
 
-def line(kind: str, case: diagnosis_score.Case) -> str:
+def line(kind: str, case: blind_diagnosis_score.Case) -> str:
     """What was hidden and what was found, in one line."""
     hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.0f})" for h in case.hidden) or "nothing"
     found = ", ".join(f"{f.effect} at {f.place}" for f in case.found) or (

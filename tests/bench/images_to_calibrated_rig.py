@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
 from calib.correction.correction import fit_geometry_and_remainder_of_correction
 from calib.models.platform.identification import pose_parameter_jacobian
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.recording import corner_and_pose_csv_tables, recording_folder

@@ -28,7 +28,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     estimate_after_step,
     offset_from_stated,
 )
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
 from vision.corner_observations import observations_from_corners, whitener_of_observations
@@ -196,7 +196,7 @@ def _scipys(observations, begin, stated):
     """Cost at which SciPy's trust region, its Jacobian by differences, ends. begin : State to start from;
     stated : State as stated.
     """
-    u, estimate = adjustment_unknowns(observations, begin, stated, EVERYTHING)
+    u, estimate = adjustment_unknowns_and_start_estimate(observations, begin, stated, EVERYTHING)
     W, k, frames = whitener_of_observations(observations), u.basis.shape[1], len(observations.frames)
 
     def residual(p):

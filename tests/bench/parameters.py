@@ -20,7 +20,7 @@ from calib.models.platform.identification import PRIOR, identify_platform, pose_
 from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_optimal_configurations
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.hexapod_information_filter import Online
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.formats.exporters import geometry_compensation_and_camera_file_exports
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod

@@ -12,7 +12,7 @@ from scipy.stats import beta
 
 from calib.certification.claim_verification import Verification, verify_claim
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.pose import exp
 
 CLAIMS = 300

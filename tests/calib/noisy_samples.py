@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference
 from rig.planning import configuration_generators

@@ -11,7 +11,7 @@ from calib.certification.platform_certification import Certified
 from calib.correction.correction import fit_geometry_and_remainder_of_correction
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis, refit_platform_with_findings
 from calib.models.wanted_pose_commands import commands_along_route, pace_that_holds_poses_at_times
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES
 from rig.model import mechanisms, motion_simulation

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.models.arm import error_model_and_observations
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.design import Actuator, Design, Instrument, Platform
 from rig.model.pose import exp, log, pose, pose_difference, pose_to_vector
 from rig.recording.corner_and_pose_csv_tables import POSE_COLUMNS, write_table

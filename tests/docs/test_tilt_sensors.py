@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.recording.recording_folder import load_recording
 from tests.cli import run
 from tests.conftest import ROOT

@@ -17,7 +17,7 @@ from types import FunctionType, ModuleType
 
 WATCHED = (
     "rig.formats.csv_and_parquet_tables_and_time_origin",
-    "rig.formats.checked_entries",
+    "rig.formats.checked_toml_and_json_entries",
     "rig.formats.json_toml_and_yaml_loading",
     "rig.formats.local_and_remote_input_files",
     "rig.recording.exposures_and_image_files",
@@ -33,7 +33,7 @@ WATCHED = (
     "rig.effects.texts.effect_text_parsing_and_user_effect_file_loading",
     "calib.files.calibration_file",
     "calib.online.information_filter_state_steps_and_json_file",
-    "synthetic.diagnosis_score",
+    "synthetic.blind_diagnosis_score",
     "synthetic.random_true_machine_and_truth_file",
     "rig.model.calibration_board_layout_and_description_parsing",
     "tomllib._parser",

@@ -31,8 +31,8 @@ from rig.planning import plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_csv_tables import COVARIANCE_COLUMNS, load_corners, load_poses
-from rig.recording.exposures_and_image_files import image_file_problem, load_exposures
-from synthetic import diagnosis_score, random_true_machine_and_truth_file, recording_simulation
+from rig.recording.exposures_and_image_files import image_file_problem, load_exposures_and_unreadable_images
+from synthetic import blind_diagnosis_score, random_true_machine_and_truth_file, recording_simulation
 from synthetic.blind_campaign import Campaign, parse_case_numbers
 from tests.fuzz.laws import laws
 
@@ -73,7 +73,7 @@ def _files(folder, design, held):
 
     def frames(path):
         rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", "t", "camera", "image"))
-        return load_exposures(folder, design, rows, rows.first_time_origin())
+        return load_exposures_and_unreadable_images(folder, design, rows, rows.first_time_origin())
 
     def commands(path):
         rows = recording_folder._command_rows(path, design)
@@ -137,7 +137,9 @@ def _json(folder, design, done):
         return ((folder / name).read_bytes(),)
 
     def judged(case):
-        return diagnosis_score.campaign_rates_with_intervals([case]), diagnosis_score.campaign_medians([case])
+        return blind_diagnosis_score.campaign_rates_with_intervals([case]), blind_diagnosis_score.campaign_medians(
+            [case]
+        )
 
     def record(path):
         (folder / "diagnoses" / "0001.json").write_bytes(path.read_bytes())
@@ -151,11 +153,13 @@ def _json(folder, design, done):
             seed("truth.json"),
             lambda path: random_true_machine_and_truth_file.world_from_truth(path, design),
         ),
-        Reader("sealed truth", seed("truth.json"), lambda path: judged(diagnosis_score.score_case(1, path, None))),
+        Reader(
+            "sealed truth", seed("truth.json"), lambda path: judged(blind_diagnosis_score.score_case(1, path, None))
+        ),
         Reader(
             "diagnosis.json",
             (json.dumps(diagnosis).encode(),),
-            lambda path: judged(diagnosis_score.score_case(1, folder / "truth.json", path)),
+            lambda path: judged(blind_diagnosis_score.score_case(1, folder / "truth.json", path)),
         ),
         Reader("record", (b'{"seconds": 1.5, "failed": null}\n', b'{"seconds": 1.5, "failed": "no"}\n'), record),
         Reader(

@@ -21,7 +21,7 @@ from rig.model import arm_hands_effect_places_and_tolerances, motion_simulation
 from rig.planning import plan
 from rig.recording import recording_folder
 from synthetic import (
-    diagnosis_score,
+    blind_diagnosis_score,
     random_blind_platform_cases_with_truth,
     random_true_machine_and_truth_file,
     recording_simulation,
@@ -256,9 +256,9 @@ def test_a_wrong_campaign_is_refused_before_anything_is_written(more, message, t
 
 
 def case(hidden=(), found=(), kind="one", unexplained=False):
-    h = [diagnosis_score.Hidden(name, place, {}, 30.0) for name, place in hidden]
-    f = [diagnosis_score.Found(name, place, {}, list(alternatives)) for name, place, *alternatives in found]
-    return diagnosis_score.Case(1, kind, None, h, f, unexplained, 1.0, 1.0)
+    h = [blind_diagnosis_score.Hidden(name, place, {}, 30.0) for name, place in hidden]
+    f = [blind_diagnosis_score.Found(name, place, {}, list(alternatives)) for name, place, *alternatives in found]
+    return blind_diagnosis_score.Case(1, kind, None, h, f, unexplained, 1.0, 1.0)
 
 
 def test_answers_are_judged():
@@ -270,7 +270,7 @@ def test_answers_are_judged():
     missed = case([lag])
     f = {
         g.name: (g.hits, g.trials)
-        for g in diagnosis_score.campaign_rates_with_intervals(
+        for g in blind_diagnosis_score.campaign_rates_with_intervals(
             [
                 right,
                 allowed,
@@ -292,7 +292,7 @@ def test_answers_are_judged():
         and f["nothing hidden: no finding"] == (1, 2)
         and f["no wrong name in any case"] == (5, 7)
     )
-    assert diagnosis_score.strong_effect_confusion_table([right, allowed, wrong, missed])["servo_lag"] == {
+    assert blind_diagnosis_score.strong_effect_confusion_table([right, allowed, wrong, missed])["servo_lag"] == {
         "servo_lag": 1,
         "time_offset": 1,
         "creep": 1,
@@ -300,7 +300,7 @@ def test_answers_are_judged():
     }
     both = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), lag], "two")
     half = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), ("creep", "rig")], "two")
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_rates_with_intervals([both, half])}
+    f = {g.name: (g.hits, g.trials) for g in blind_diagnosis_score.campaign_rates_with_intervals([both, half])}
     assert f["two effects: both named"] == (1, 2) and f["two effects: no wrong name"] == (1, 2)
     assert half.seen_as(half.hidden[0]) == "creep"
     foreign = [
@@ -311,41 +311,43 @@ def test_answers_are_judged():
             ([], False),
         )
     ]
-    f = {g.name: (g.hits, g.trials) for g in diagnosis_score.campaign_rates_with_intervals(foreign)}
+    f = {g.name: (g.hits, g.trials) for g in blind_diagnosis_score.campaign_rates_with_intervals(foreign)}
     assert f["outside the catalogue: called unknown"] == (1, 3) and f["outside the catalogue: no name given"] == (2, 3)
 
 
 def test_intervals_are_held_to_the_truth():
-    hidden = diagnosis_score.Hidden("cyclic_error", "strut 1", {"amplitude": 1.0, "phase": 3.1, "order": 1.5}, 30.0)
-    found = diagnosis_score.Found(
+    hidden = blind_diagnosis_score.Hidden(
+        "cyclic_error", "strut 1", {"amplitude": 1.0, "phase": 3.1, "order": 1.5}, 30.0
+    )
+    found = blind_diagnosis_score.Found(
         "cyclic_error",
         "strut 1",
         {"amplitude": (1.1, [0.9, 1.3]), "phase": (-3.1, [-3.3, -2.9]), "order": (1.4, [1.3, 1.45])},
         [],
     )
-    assert diagnosis_score.do_parameter_intervals_cover_truth(hidden, found) == [True, True, False]
+    assert blind_diagnosis_score.do_parameter_intervals_cover_truth(hidden, found) == [True, True, False]
     assert (
-        diagnosis_score.do_parameter_intervals_cover_truth(hidden, replace(found, place="strut 2")) == []
-        and diagnosis_score.do_parameter_intervals_cover_truth(hidden, None) == []
+        blind_diagnosis_score.do_parameter_intervals_cover_truth(hidden, replace(found, place="strut 2")) == []
+        and blind_diagnosis_score.do_parameter_intervals_cover_truth(hidden, None) == []
     )
 
 
 def test_exact_intervals():
-    low, high = diagnosis_score.clopper_pearson(2, 150)
+    low, high = blind_diagnosis_score.clopper_pearson_interval(2, 150)
     assert (low, high) == pytest.approx((0.001621, 0.047329), abs=2e-5)  # 2 of 150, from tables
     assert (
-        diagnosis_score.clopper_pearson(0, 10) == (0.0, pytest.approx(1 - 0.025 ** (1 / 10)))
-        and diagnosis_score.clopper_pearson(10, 10)[1] == 1.0
+        blind_diagnosis_score.clopper_pearson_interval(0, 10) == (0.0, pytest.approx(1 - 0.025 ** (1 / 10)))
+        and blind_diagnosis_score.clopper_pearson_interval(10, 10)[1] == 1.0
     )
 
 
 def test_what_is_no_campaign_is_said(tmp_path):
     (tmp_path / "t.json").write_text('{"effects": [')
     with pytest.raises(FileError, match="cut off"):
-        diagnosis_score.score_case(1, tmp_path / "t.json", None)
+        blind_diagnosis_score.score_case(1, tmp_path / "t.json", None)
     (tmp_path / "t.json").write_text('{"effects": []}')
     with pytest.raises(FileError, match="strengths is missing"):
-        diagnosis_score.score_case(1, tmp_path / "t.json", None)
+        blind_diagnosis_score.score_case(1, tmp_path / "t.json", None)
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
@@ -447,16 +449,16 @@ def test_a_campaign_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
 
 
 def test_an_effect_within_tolerances_is_rightly_a_remark():
-    remark = diagnosis_score.Found("print_scale", "markers", {"scale": (3e-4, [2e-4, 4e-4])}, [])
-    hidden = diagnosis_score.Hidden("print_scale", "markers", {"scale": 3e-4}, 20.0)
-    case = diagnosis_score.Case(1, "one", None, [hidden], [], False, 1.0, 1.0, remarks=(remark,))
+    remark = blind_diagnosis_score.Found("print_scale", "markers", {"scale": (3e-4, [2e-4, 4e-4])}, [])
+    hidden = blind_diagnosis_score.Hidden("print_scale", "markers", {"scale": 3e-4}, 20.0)
+    case = blind_diagnosis_score.Case(1, "one", None, [hidden], [], False, 1.0, 1.0, remarks=(remark,))
     assert case.match(hidden) is remark and case.named_or_remarked == [remark] and not case.named and not case.wrong()
-    elsewhere = diagnosis_score.Hidden("backlash", "strut 1", {"gap": 3e-5}, 20.0)
+    elsewhere = blind_diagnosis_score.Hidden("backlash", "strut 1", {"gap": 3e-5}, 20.0)
     assert (
-        diagnosis_score.Case(1, "one", None, [elsewhere], [], False, 1.0, 1.0, remarks=(remark,)).match(elsewhere)
+        blind_diagnosis_score.Case(1, "one", None, [elsewhere], [], False, 1.0, 1.0, remarks=(remark,)).match(elsewhere)
         is None
     )
-    figures = {f.name: f.hits for f in diagnosis_score.campaign_rates_with_intervals([case])}
+    figures = {f.name: f.hits for f in blind_diagnosis_score.campaign_rates_with_intervals([case])}
     assert (
         figures["one effect: detected"]
         == figures["one effect: named first"]

@@ -24,7 +24,7 @@ from calib.models.arm.tilt_observations import (
     tilt_equation_rows,
 )
 from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor
 from rig.model.mechanisms import arm as mechanism

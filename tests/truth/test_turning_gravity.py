@@ -16,7 +16,7 @@ import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
 from calib.api.correct import CorrectOptions
-from calib.api.lookup_table_over_sensor_channels import corrected_command_lookup_table
+from calib.api.corrected_command_lookup_table_over_sensor_channels import corrected_command_lookup_table
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files.calibration_file import save

@@ -1,4 +1,6 @@
-"""Covariance of an adjustment whose corner errors are correlated within an image, or larger in some places.
+"""Covariance of an adjustment whose corner errors are correlated.
+
+They are correlated within an image, or larger in some places.
 
 The optimum stays where equal and independent errors put it; its covariance is White's, of the errors that its residuals
 show (see `pose_covariance_of_correlated_corner_errors`). Where corners err alike at the same place of a camera's image
@@ -20,15 +22,15 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     Unknowns,
     offset_from_stated,
 )
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     Derivatives,
     whitened_residuals_and_derivatives,
 )
 from vision.bundle.pose_covariance_of_correlated_corner_errors import (
+    image_places_and_smooth_error_columns,
     own_and_smooth_corner_error_variances,
-    places_and_smooth_columns,
     pose_covariance_from_corner_error_variances,
     smooth_image_error_model_of_corners,
 )
@@ -84,14 +86,14 @@ class _Corners:
 
 
 def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adjustment, own: Booleans) -> Adjustment:
-    """The Adjustment with the covariance that errors of its corners give it; as it was where they are equal and
-    independent, or too few to show otherwise.
+    """The Adjustment with the covariance that unlike corner errors give it.
 
+    It is as it was where they are equal and independent, or too few to show otherwise.
     observations : Observations that were adjusted; own : (n,) whether a corner's covariance is that of its own errors
     alone
     Errors of one frame move its pose and, a little, what all frames share: both are taken as independent.
     """
-    u, estimate = adjustment_unknowns(
+    u, estimate = adjustment_unknowns_and_start_estimate(
         observations, adjustment.state, adjustment.stated, adjustment.free, printing=adjustment.printing
     )
     whitener = whitener_of_observations(observations)
@@ -110,7 +112,7 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
     # corners whose covariance is not their own see the same air; places as predicted, which corners' own errors do not
     # move: these would show themselves along any columns that spread
     predicted = replace(observations, uv=observations.uv - adjustment.residuals)
-    pixels = places_and_smooth_columns(predicted, cameras, rows.order)[1]
+    pixels = image_places_and_smooth_error_columns(predicted, cameras, rows.order)[1]
     columns = whiten(pixels)
     shared_rows = list(_shared_rows_without_own(observations, derivatives, rows, basis, u))
     corners = _Corners(

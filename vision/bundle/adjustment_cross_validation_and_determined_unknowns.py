@@ -1,4 +1,4 @@
-"""Validation of an adjustment, and determinacy of its unknowns.
+"""Cross-validation of an adjustment, and which unknowns its recording determines.
 
 By held-out frames; determinacy says which unknowns the recording determines.
 """
@@ -16,7 +16,10 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     datum_marker_rows,
     offset_from_stated,
 )
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import POSE_SIGMA, adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
+    POSE_SIGMA,
+    adjustment_unknowns_and_start_estimate,
+)
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
@@ -106,7 +109,7 @@ def crossvalidate_adjustment(
     if len(observations.frames) < 2:
         return NotHeldOut("there is only one frame, and nothing to predict it from")
     stated = adjustment.stated
-    u, estimate = adjustment_unknowns(
+    u, estimate = adjustment_unknowns_and_start_estimate(
         observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing
     )
     away = offset_from_stated(estimate, stated, u)
@@ -206,8 +209,9 @@ class DeterminedUnknowns:
 
 
 def determinacy_of_adjusted_unknowns(adjustment: Adjustment) -> DeterminedUnknowns:
-    """Determined combinations of an Adjustment's unknowns.
+    """Determinacy of an Adjustment's unknowns (DeterminedUnknowns).
 
+    It is in combinations of unknowns.
     Its covariance compared with the priors.
     """
     retained = np.flatnonzero(

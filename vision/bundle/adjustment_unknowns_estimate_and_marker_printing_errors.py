@@ -205,7 +205,10 @@ def marker_motions_relative_to_targets(estimate: Estimate, stated: State, unknow
 
 
 def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
-    """Whether fixed cameras, held as stated, hold the base frame by themselves."""
+    """Whether the cameras hold the base frame.
+
+    They are fixed, held as stated, and hold it by themselves.
+    """
     return not unknowns.poses and len(state.moving) < len(state.cameras)
 
 
@@ -295,8 +298,9 @@ def datum_marker_rows(markers: MarkerMap, rows: Integers) -> Integers:
 
 
 def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
-    """The Estimate aligned with the datums: seen from the frames that the stated places define.
+    """The Estimate aligned with the datums.
 
+    It is seen from the frames that the stated places define.
     Corners of all seen markers of a body whose places are stated, taken together, end where they were stated, in the
     least-squares sense; those of the first where none is.
     """

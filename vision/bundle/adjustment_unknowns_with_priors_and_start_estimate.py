@@ -1,4 +1,4 @@
-"""Priors of an adjustment's unknowns.
+"""Unknowns of an adjustment with their priors, and the estimate to start from.
 
 Stated standard deviations, columns, and motions fixed by datums.
 
@@ -96,7 +96,7 @@ def _prints(
     return Prints(parts, own, shared)
 
 
-def adjustment_unknowns(
+def adjustment_unknowns_and_start_estimate(
     observations: Observations,
     state: State,
     stated: State,

@@ -27,7 +27,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
-    adjustment_unknowns,
+    adjustment_unknowns_and_start_estimate,
     stated_lens_prior_sigmas,
 )
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
@@ -128,7 +128,7 @@ def adjust_bundle(
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
-    u, estimate = adjustment_unknowns(observations, state, stated, free, lens_prior_sigmas, printing)
+    u, estimate = adjustment_unknowns_and_start_estimate(observations, state, stated, free, lens_prior_sigmas, printing)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(
             f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns"

@@ -1,4 +1,4 @@
-"""Normal equations of an adjustment, and corner Jacobians.
+"""Corner Jacobians, normal equations of an adjustment, and their Schur complement.
 
 Derivatives of predicted corners.
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.compute.parallel_map_and_dask_cluster import thread_map
 from vision import lens
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
@@ -362,8 +362,9 @@ def solve_shared_and_frame_steps(blocks: Blocks, unknowns: Unknowns, damping: fl
 
 
 def predicted_decrease(blocks: Blocks, shared_step: Floats, local_step: Floats) -> float:
-    """Predicted decrease of the cost by the undamped steps of `solve_shared_and_frame_steps`, to first order.
+    """Predicted decrease of the cost by steps.
 
+    They are the undamped ones of `solve_shared_and_frame_steps`, to first order.
     shared_step, local_step : the steps (s,), (frames, l), scaled, as `solve_shared_and_frame_steps` gives them
     """
     return float(blocks.common @ shared_step + (blocks.own * local_step).sum())

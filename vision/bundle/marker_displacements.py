@@ -15,7 +15,7 @@ from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Marker
 from rig.model.pose import log
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import offset_from_stated
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
@@ -123,7 +123,9 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
     """
     a, used = measurement.adjustment, measurement.used()
     state = replace(a.state, markers=markers)
-    u, estimate = adjustment_unknowns(used, state, replace(a.stated, markers=markers), (*a.free, "markers"))
+    u, estimate = adjustment_unknowns_and_start_estimate(
+        used, state, replace(a.stated, markers=markers), (*a.free, "markers")
+    )
     W = whitener_of_observations(used)
     residual, derivatives = whitened_residuals_and_derivatives(used, estimate, u, W)
     away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)

@@ -1,4 +1,6 @@
-"""Covariance of each frame's poses where corner errors are correlated within an image, or larger in some places.
+"""Covariance of poses whose corner errors are correlated.
+
+Each frame's poses; errors are correlated within an image, or larger in some places.
 
 Air, vibration and a finder's habits move neighbouring corners alike, corners far from an image's middle may scatter
 more, and some far more than usual. The poses then scatter by more than equal and independent errors make of them, and
@@ -84,7 +86,7 @@ def smooth_image_error_model_of_corners(
     """
     camera, frame = observations.camera[order], observations.frame[order]
     leverage = (local**2).reshape(len(order), -1).sum(axis=1) / 2
-    place, pixels = places_and_smooth_columns(observations, cameras, order)
+    place, pixels = image_places_and_smooth_error_columns(observations, cameras, order)
     columns = (whiten(pixels) * own[:, None, None]).reshape(2 * len(order), -1)
     starts = np.flatnonzero(np.r_[True, (np.diff(camera) != 0) | (np.diff(frame) != 0)])
     F, L, width = len(edges) - 1, local.shape[1], columns.shape[1]
@@ -101,11 +103,12 @@ def smooth_image_error_model_of_corners(
     )
 
 
-def places_and_smooth_columns(
+def image_places_and_smooth_error_columns(
     observations: Observations, cameras: Sequence[Camera], order: Integers
 ) -> tuple[Floats, Floats]:
-    """((n, 2) places in the image, from -1 to 1, (n, 2, 2K) px the columns of smooth errors) of n corners in an order
-    (n,).
+    """Places (n, 2) in the image, and columns (n, 2, 2K) px of smooth errors.
+
+    They are of n corners in an order (n,); places are from -1 to 1.
     """
     half = np.array([[c.width / 2, c.height / 2] for c in cameras])[observations.camera[order]]
     place = (observations.uv[order] - half) / half
@@ -127,10 +130,11 @@ def _parts(camera: Integers, place: Floats) -> Integers:
 def own_and_smooth_corner_error_variances(
     errors: SmoothImageErrors, left: Floats, edges: Integers
 ) -> tuple[Floats, Floats] | None:
-    """((n,) mean square of each corner's own whitened errors, (2K, 2K) px^2 covariance of the smooth ones along the
+    """Variances of the own and of the smooth errors of corners.
+
+    ((n,) mean square of each corner's own whitened errors, (2K, 2K) px^2 covariance of the smooth ones along the
     columns), in the order of `smooth_image_error_model_of_corners`; None where corners show no errors but equal and
     independent ones.
-
     left : (2n,) whitened residuals with the frames' own poses taken out; edges : as of
     `smooth_image_error_model_of_corners`
     """
@@ -200,9 +204,10 @@ def _smooth_covariance(
 def pose_covariance_by_estimated_corner_errors(
     errors: SmoothImageErrors, left: Floats, local: Floats, edges: Integers
 ) -> Floats | None:
-    """(F, L, L) covariance of the frames' own poses on their basis, whose unit is that of equal and independent errors;
-    None where corners show no others.
+    """Covariance (F, L, L) of poses by estimated corner errors.
 
+    It is of the frames' own poses on their basis, whose unit is that of equal and independent errors; None where
+    corners show no others.
     left : (2n,) whitened residuals with the frames' own poses taken out; local, edges : as of
     `smooth_image_error_model_of_corners`
     """
@@ -213,7 +218,9 @@ def pose_covariance_by_estimated_corner_errors(
 def pose_covariance_from_corner_error_variances(
     errors: SmoothImageErrors, white: Floats, smooth: Floats, local: Floats, edges: Integers
 ) -> Floats:
-    """(F, L, L) covariance of the frames' own poses on their basis by the sizes of errors, white (n,) and smooth, as
+    """Covariance (F, L, L) of poses from variances of corner errors.
+
+    It is of the frames' own poses on their basis by the sizes of errors, white (n,) and smooth, as
     `own_and_smooth_corner_error_variances` has them.
     """
     each, cameras = np.repeat(white, 2), errors.onto.shape[2] // len(smooth)

@@ -20,7 +20,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     Printing,
     offset_from_stated,
 )
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
@@ -75,8 +75,9 @@ class _PrintInformation:
 def adjust_with_estimated_printing_errors(
     observations: Observations, fit: RobustAdjustment, free: tuple[str, ...]
 ) -> RobustAdjustment:
-    """The adjustment (Sorted) repeated with printing errors of estimated size; as it was if none show.
+    """The adjustment (Sorted) with estimated printing errors.
 
+    It is repeated with their estimated size; it is as it was if none show.
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
     What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as
     the grid's, which errs corner by corner and camera by camera: prints must show beyond that. What they then explain
@@ -129,7 +130,7 @@ def _merged(observations: Observations, state: State) -> Observations:
 def _print_information(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _PrintInformation:
     """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
     one = _merged(observations, a.state)
-    u, estimate = adjustment_unknowns(one, a.state, a.stated, free, printing=TRIAL)
+    u, estimate = adjustment_unknowns_and_start_estimate(one, a.state, a.stated, free, printing=TRIAL)
     residual, derivatives = whitened_residuals_and_derivatives(one, estimate, u, whitener_of_observations(one))
     away = offset_from_stated(estimate, a.stated, u)
     blocks = normal_equations(one, derivatives, u, away)

@@ -73,7 +73,10 @@ def alternative_camera_poses(pose: RigidTransform) -> Iterator[tuple[str, RigidT
 
 
 def exchanged_camera_trials(sample: SampledRecording) -> Iterator[Candidate]:
-    """Trials with the corners, or all stated figures, of two cameras exchanged."""
+    """Trials with two cameras exchanged.
+
+    Their corners are, or all stated figures.
+    """
     names = [camera.name for camera in sample.design.cameras]
     for a, b in combinations(names, 2):
         other = {a: b, b: a}
@@ -85,7 +88,10 @@ def exchanged_camera_trials(sample: SampledRecording) -> Iterator[Candidate]:
 
 
 def alternative_camera_pose_trials(sample: SampledRecording) -> Iterator[Candidate]:
-    """Trials with alternative conventions of camera poses, of all cameras and then of each."""
+    """Trials with alternative conventions of camera poses.
+
+    They are of all cameras and then of each.
+    """
     cameras = sample.design.cameras
     for k, (what, _) in enumerate(alternative_camera_poses(cameras[0].pose)):
         turned = [list(alternative_camera_poses(camera.pose))[k][1] for camera in cameras]
@@ -103,7 +109,7 @@ def alternative_camera_pose_trials(sample: SampledRecording) -> Iterator[Candida
 
 
 def focal_length_mistakes(sample: SampledRecording, adjusted: tuple[Camera, ...]) -> Iterator[Candidate]:
-    """Focal length mistakes.
+    """Mistakes of the focal length.
 
     Adjusted focal lengths far from the stated ones.
     adjusted : the Cameras of Seen, adjusted to its corners

@@ -75,8 +75,9 @@ class Trial:
 def sample_frames(
     design: Design, corners: Corners, frames: Integers, t: Floats, count: int = FRAMES
 ) -> SampledRecording | None:
-    """Sample of frames spread over a recording (Seen), the richest of each stretch.
+    """Sample of frames spread over a recording (Seen).
 
+    Each is the richest of its stretch.
     None without corners, and with markers whose places only measuring finds.
     frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what
     was put back: its place is told only to what remounting may do

@@ -30,7 +30,10 @@ OFF = 0.3  # px by which corners.csv may differ from what is read in the images,
 
 
 def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
-    """Corners read from a sample of a recording's images, None without images; and the images' Mistakes."""
+    """Corners read from a sample of images, and the images' Mistakes.
+
+    They are a recording's images; no corners (None) without images.
+    """
     markers = marker_map(recording.design, RigidTransform.identity())
     sights, found = _sights(recording, markers, FRAMES)
     numbers = Counter(int(number) for *_, seen in sights for number in seen.marker)
@@ -40,12 +43,18 @@ def image_sample_corners_and_mistakes(recording: Recording) -> tuple[Corners | N
 
 
 def corners_of_sampled_frame_images(recording: Recording) -> Corners | None:
-    """Corners read from the images of a few frames, None where there are none."""
+    """Corners read from the images of a few frames.
+
+    None where there are none.
+    """
     return _corners(_sights(recording, marker_map(recording.design, RigidTransform.identity()), FEW)[0])
 
 
 def dictionary_and_identity_mistakes(recording: Recording) -> list[Mistake]:
-    """Certain mistakes of dictionary, identity or mirroring in a sample of images."""
+    """Mistakes of dictionary or identity in a sample of images.
+
+    They are certain; mirroring is one of them.
+    """
     markers = marker_map(recording.design, RigidTransform.identity())
     sights, _ = _sights(recording, markers, FEW)
     seen = Counter(int(number) for *_, one in sights for number in one.marker)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
 from rig.model.design import Design
 from rig.recording.corner_and_pose_csv_tables import Corners
-from rig.recording.frame_selection_and_content_hashes import recording_of_first_seen_hand
+from rig.recording.frame_selection_and_content_hashes import recording_and_corners_of_first_seen_hand
 from rig.recording.recording_folder import Recording
 from vision.checks import camera_mistake_trials as cameras
 from vision.checks import corner_and_lens_convention_trials as conventions
@@ -48,7 +48,7 @@ def find_corner_mistakes(recording: Recording, corners: Corners, thorough: bool 
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
     not a few, and the search goes on for longer. Of an arm with several hands the first is checked whose target is seen
     """
-    recording, corners = recording_of_first_seen_hand(recording, corners)
+    recording, corners = recording_and_corners_of_first_seen_hand(recording, corners)
     held, recording = has_hand_cameras(recording.design), recording_seen_from_hand(recording)
     seen = sample_frames(recording.design, corners, *recording.exposures.times())
     if seen is None:
@@ -222,7 +222,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     ):
         return [], first
     who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
-    message = targets.size_ratio_text(share, who) + (f", those on the {body}" if body else "")
+    message = targets.marker_size_ratio_text(share, who) + (f", those on the {body}" if body else "")
     return [
         Mistake(
             f"rig.toml: {message}: corners lie {first.misfit:.3g} px RMS from their expected positions as it stands, "

@@ -29,14 +29,18 @@ Notice = Callable[[str], None]
 
 
 def ignore_notice(line: str) -> None:
-    """Ignore a notice: the callback where nobody listens, which does nothing."""
+    """Ignore a notice.
+
+    It is the callback where nobody listens, and does nothing.
+    """
 
 
 def require_no_severe_mistakes_and_notice_others(
     mistakes: Iterable[Mistake], allow_mistakes: bool, notice: Notice
 ) -> None:
-    """Refuse mistakes that make results meaningless, unless allowed.
+    """Refuse severe mistakes, and give notice of the others.
 
+    Severe are those that make results meaningless; they may be allowed.
     The others are noticed, a line each.
     allow_mistakes : whether to go on though a mistake makes results meaningless
     Raises RigError with all of it where one does and nobody goes on anyway
@@ -105,7 +109,10 @@ BODIES = {"platform": "the platform", "base": "the base"}
 
 
 def unevenly_placed_cubes_remarks(design: Design) -> tuple[str, ...]:
-    """Remarks on an uneven layout of a Design's cubes, by how many mm and degrees; none where all is even."""
+    """Remarks on unevenly placed cubes of a Design.
+
+    They say by how many mm and degrees; none where all is even.
+    """
     if not design.targets or not are_all_marker_poses_known(design):
         return ()
     found = marker_map(design.without_stages())

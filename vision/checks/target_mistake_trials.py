@@ -81,8 +81,9 @@ def _alone(uv: Floats, camera: Camera, side: float) -> Pixels | None:
 
 
 def marker_size_trials(sample: SampledRecording) -> Iterator[tuple[str | None, float, SampledRecording]]:
-    """Trials with other marker sizes, of all targets (None) or of one body.
+    """Trials with other marker sizes.
 
+    They are of all targets (None) or of one body.
     Returns (body, ratio, Seen)
     """
     ratios = {body: share for body, (share, pairs) in _marker_scale_ratios(sample).items() if pairs >= PAIRS}
@@ -119,7 +120,7 @@ def _resized(target: Target, factor: float) -> Target:
     return replace(target, marker=target.marker * factor)
 
 
-def size_ratio_text(size_ratio: float, target: Target | None) -> str:
+def marker_size_ratio_text(size_ratio: float, target: Target | None) -> str:
     """Text of a ratio of true to stated marker size."""
     off = (
         f"the markers are printed {abs(size_ratio - 1):.1%} {'larger' if size_ratio > 1 else 'smaller'} than rig.toml "
@@ -144,7 +145,10 @@ def size_ratio_text(size_ratio: float, target: Target | None) -> str:
 def best_size_ratio(
     sample: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
 ) -> float:
-    """Size ratio near one with the least misfit (px), at the vertex of a parabola through three trials."""
+    """Best size ratio near one.
+
+    It has the least misfit (px), at the vertex of a parabola through three trials.
+    """
     by = 0.004
     squares = [misfit(scale_marker_sides(sample, ratio * (1 + k * by), body)) ** 2 for k in (-1, 0, 1)]
     bend = squares[0] - 2 * squares[1] + squares[2]
@@ -152,7 +156,9 @@ def best_size_ratio(
 
 
 def exchanged_or_moved_target_trials(sample: SampledRecording, names: list[str] | None = None) -> Iterator[Candidate]:
-    """Trials with targets exchanged, or moved to the other body.
+    """Trials with targets exchanged or moved.
+
+    They are moved to the other body.
     Of all targets, bodies and poses too. names : those meant, all by default
     """
     targets = sample.design.targets
@@ -276,7 +282,10 @@ def exchanged_face_trials(sample: SampledRecording, name: str) -> Iterator[Candi
 
 
 def is_only_face_exchange_within_one_cube(stated: SampledRecording, corrected: SampledRecording) -> bool:
-    """Whether a correction only exchanges faces within one cube, which each command corrects by itself."""
+    """Whether a correction only exchanges faces within one cube.
+
+    Each command corrects that by itself.
+    """
     if corrected.corners is not stated.corners or corrected.design.cameras is not stated.design.cameras:
         return False
     changed = [(a, b) for a, b in zip(stated.design.targets, corrected.design.targets) if a is not b]
@@ -301,7 +310,10 @@ def cube_edge_trials(sample: SampledRecording) -> Iterator[Candidate]:
 
 
 def targets_with_misfitting_corners(trial: Trial) -> list[str]:
-    """Names of targets with a marker most of whose corners do not fit, the worst first."""
+    """Names of targets with corners that do not fit.
+
+    Most corners of a marker do not; the worst is first.
+    """
     if trial.measured is None or trial.miss is None:
         return []
     o, markers = trial.measured.observations, marker_map(trial.seen.design)

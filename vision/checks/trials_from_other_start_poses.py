@@ -1,4 +1,6 @@
-"""Trials of what is stated, begun from other poses of the cameras.
+"""Trials begun from other start poses of the cameras.
+
+They are of what is stated.
 
 A camera that sees a single base marker is not located by it, since nothing checks that sighting: measuring leaves it
 where it is stated, which may be too far off for any poses to explain its corners.
@@ -23,8 +25,9 @@ from vision.predict import marker_map
 
 
 def stated_trial_from_other_camera_poses(first: Trial, misfit: float) -> Trial | None:
-    """The stated trial begun from other poses of the cameras, where lenses stay as stated and it leaves less than a
-    misfit (px); None where none does.
+    """The stated trial begun from other poses of the cameras.
+
+    Lenses stay as stated and it leaves less than a misfit (px); None where none does.
     """
     stated = first.seen.design.cameras
     for begun in _starts(first.seen):
@@ -42,7 +45,10 @@ def stated_trial_from_other_camera_poses(first: Trial, misfit: float) -> Trial |
 
 
 def cameras_by_free_markers(sample: SampledRecording, cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
-    """The cameras adjusted from these with markers' places free, None where nothing can be solved."""
+    """Cameras adjusted with free places of markers.
+
+    They are adjusted from those given; None where nothing can be solved.
+    """
     measured = measure_trial(sample.with_cameras(cameras), ("poses", "lenses", "markers")).measured
     return None if measured is None else measured.design.cameras
 

@@ -1,4 +1,4 @@
-"""Numba kernels of corners, and the predicted white share of a cell.
+"""Image model of blurred edges (white share of a cell), and numba kernels.
 
 The share is from 0 to 1, in and around the cell, by edge spread functions.
 
@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels import CompilerOptions, Kernel
+from rig.compute.numba_compilation_and_kernel_cache_folder import CompilerOptions, Kernel
 
 _OPTIONS: CompilerOptions = {"cache": True, "nogil": True, "error_model": "numpy"}
 
@@ -28,7 +28,10 @@ def kernel(function: F) -> F:
 
 
 def inlined_kernel(function: F) -> F:
-    """Decorator: a numba kernel that is inlined into the one kernel that calls it."""
+    """Decorator: a function as an inlined numba kernel.
+
+    It is inlined into the one kernel that calls it.
+    """
     return cast(F, Kernel(function, {**_OPTIONS, "inline": "always"}))
 
 
@@ -138,7 +141,7 @@ def fill_edge_spread_table(function: Floats, table: Floats) -> None:
 
 
 @kernel
-def edge_white_share(table: Floats, x: float) -> tuple[float, float]:
+def edge_white_share_and_slope(table: Floats, x: float) -> tuple[float, float]:
     """White share and its slope at x edge widths from an edge, looked up in a table (STEPS, 4)."""
     at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
     i = int(at)
@@ -169,8 +172,9 @@ def _meeting(h: float, k: float, rho: float) -> float:
 def cell_white_share(
     cells: Floats, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: Floats, table_y: Floats
 ) -> Share:
-    """White share at cell coordinates X, Y in or next to cell (i, j), by the spread of its edges.
+    """White share at cell coordinates X, Y of a cell (i, j).
 
+    They are in or next to the cell; it is by the spread of its edges.
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first
         bit.
     """
@@ -182,10 +186,10 @@ def cell_white_share(
         _edge_distance(Y - j, sy, py),
         _edge_distance(Y - j - 1, sy, py),
     )
-    Pa, pa = edge_white_share(table_x, hl)
-    Pb, pb = edge_white_share(table_x, hr)
-    Pc, pc = edge_white_share(table_y, vl)
-    Pd, pd = edge_white_share(table_y, vr)
+    Pa, pa = edge_white_share_and_slope(table_x, hl)
+    Pb, pb = edge_white_share_and_slope(table_x, hr)
+    Pc, pc = edge_white_share_and_slope(table_y, vl)
+    Pd, pd = edge_white_share_and_slope(table_y, vr)
     y0, y1, y2 = min(max(j + 1, 0), last), min(max(j + 2, 0), last), min(max(j + 3, 0), last)
     x0, x1, x2 = min(max(i + 1, 0), last), min(max(i + 2, 0), last), min(max(i + 3, 0), last)
     s, gx, gy, gb = 0.0, 0.0, 0.0, 0.0
@@ -217,8 +221,9 @@ def cell_white_share(
 def wide_edge_cell_white_share(
     cells: Floats, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: Floats, table_y: Floats
 ) -> Share:
-    """White share in cells whose edges are so wide that cells beyond the neighbours count.
+    """White share of a cell with wide edges.
 
+    They are so wide that cells beyond the neighbours count.
     cells : (n, n) grey levels; X, Y : px, where they begin; table_x, table_y : (k,) of the edge's spread
     """
     sx, sy, rho, px, py = meeting
@@ -236,16 +241,16 @@ def wide_edge_cell_white_share(
         _edge_distance(Y - j - 2, sy, py),
     )
     across = (
-        edge_white_share(table_x, h[0]),
-        edge_white_share(table_x, h[1]),
-        edge_white_share(table_x, h[2]),
-        edge_white_share(table_x, h[3]),
+        edge_white_share_and_slope(table_x, h[0]),
+        edge_white_share_and_slope(table_x, h[1]),
+        edge_white_share_and_slope(table_x, h[2]),
+        edge_white_share_and_slope(table_x, h[3]),
     )
     down = (
-        edge_white_share(table_y, k[0]),
-        edge_white_share(table_y, k[1]),
-        edge_white_share(table_y, k[2]),
-        edge_white_share(table_y, k[3]),
+        edge_white_share_and_slope(table_y, k[0]),
+        edge_white_share_and_slope(table_y, k[1]),
+        edge_white_share_and_slope(table_y, k[2]),
+        edge_white_share_and_slope(table_y, k[3]),
     )
     s, gx, gy, gb, above = 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(5):

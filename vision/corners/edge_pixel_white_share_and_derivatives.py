@@ -1,4 +1,6 @@
-"""Predicted white share of edge pixels of a square, with derivatives, a strip (batch) of pixels at a time.
+"""Predicted white share of edge pixels of a square, with derivatives.
+
+A strip is a batch of pixels that are computed at a time.
 
 All numbers are in single precision, a strip is one flat array, and places in it are unsigned: so compilers work out
 many pixels at once.

@@ -146,8 +146,9 @@ class LocalPixel(NamedTuple):
 
 @kernel
 def local_ideal_to_local_pixel_and_derivatives(lens: Floats, x: float, y: float, u: float, v: float) -> LocalPixel:
-    """Local pixel of ideal coordinates x, y by a lens (2, TERMS), from a guess u, v.
+    """Local pixel of local ideal coordinates x, y, and derivatives.
 
+    It is by a lens (2, TERMS), from a guess u, v.
     Inverse of pixel_to_ideal.
     """
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
@@ -339,8 +340,9 @@ def square_homography(quad: Floats, lens: Floats, centre: Floats, n: int, g: Flo
 
 @kernel
 def misread_cell_count(crop: Floats, box: Floats, quad: Floats, cells: Floats) -> int:
-    """Count of a marker's misread cells, black border included, in a quad (4, 2) px.
+    """Count of a marker's misread cells in a quad (4, 2) px.
 
+    The black border is included.
     All of them where white is no brighter than black. Five points of each cell are read.
     """
     size = cells.shape[0] - 2

@@ -53,8 +53,9 @@ class ReadMarkers(NamedTuple):
 
 @lru_cache
 def opencv_detector(dictionary_name: str, numbers: tuple[int, ...] = ()) -> cv2.aruco.ArucoDetector:
-    """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners to whole pixels.
+    """OpenCV detector (cv2.aruco.ArucoDetector) of a dictionary.
 
+    Its name is OpenCV's; corners are to whole pixels.
     numbers : identities that are looked for, whose places in `numbers` the detector returns; all where it is empty
     """
     dictionary, parameters = (

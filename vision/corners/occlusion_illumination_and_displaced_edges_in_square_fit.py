@@ -1,4 +1,4 @@
-"""Occlusion and illumination in a square fit.
+"""Occlusion, illumination and displaced edges in a square fit.
 
 From its residuals: occluded cells, uneven light, displaced edges.
 
@@ -18,7 +18,7 @@ from rig.array_and_json_types import Floats, Singles
 from vision.corners.blurred_edge_image_model_and_numba_kernels import (
     Tables,
     cholesky_factor,
-    edge_white_share,
+    edge_white_share_and_slope,
     fill_cholesky_solution,
     inlined_kernel,
     kernel,
@@ -78,8 +78,9 @@ def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Fl
 
 @kernel
 def corner_covariance_inflation_by_displaced_edges(sums: Floats, noise: float) -> float:
-    """Inflation factor of the corners' covariance, at least 1, by edges displaced more than noise allows.
+    """Inflation factor of the corners' covariance by displaced edges.
 
+    It is at least 1, where edges are displaced more than noise allows.
     sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
     pixels' slopes say; a blur of another shape, rounding or a renderer's few samples to the pixel move neighbouring
     pixels alike, and sides farther than that.
@@ -121,7 +122,7 @@ def add_residuals_to_edge_profile(
         h = sign * (X - at_edge) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
         white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
         at = int(math.floor((h / PROFILED + 1) * bins / 2))
-        p, e = edge_white_share(table, h)
+        p, e = edge_white_share_and_slope(table, h)
         more = bowed[0] * xi * xi + bowed[1] * xi * yi + bowed[2] * yi * yi
         share = (pixels.greys[k] - black - more * (p + (1 - p) * light[3] / light[0])) / (white - black) - p
         if 0 <= at < bins and abs(share) * (white - black) < limit:

@@ -1,4 +1,4 @@
-"""Board corners in a photograph.
+"""Detection of a calibration board's corners in a photograph.
 
 Of a calibration board, with covariance: those of its markers, and chessboard corners.
 
@@ -68,8 +68,9 @@ class Share(NamedTuple):
 
 
 def edge_crossing_white_share(h: Floats, k: Floats, rho: float) -> Share:
-    """White share at a crossing of two blurred edges, white where h and k have the same sign.
+    """White share at a crossing of two blurred edges.
 
+    It is white where h and k have the same sign.
     h, k : (n,) distances to the edges in blur widths; rho : correlation, the cosine between the edges' normals
     """
     s = np.sqrt(1 - rho * rho)
@@ -141,8 +142,9 @@ class _Settled(NamedTuple):
 def fit_chessboard_corner(
     image: Pixels, guess: Floats, axes: Floats, white: bool, straight: Straight, clear_width: float
 ) -> Junction | str:
-    """Fitted chessboard corner (Junction), or the reason (text) why none was found.
+    """Fitted chessboard corner (Junction).
 
+    Or the reason (text) why none was found.
     image : (height, width) float; guess : (2,) px; axes : (2, 2) px per square, columns the board's x and y in the
         image
     white : whether the quadrant between both axes is white; straight : Straight; clear_width : of a square, what is

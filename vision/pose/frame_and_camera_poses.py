@@ -115,8 +115,9 @@ class UndistortedCorners:
 def locate_fixed_cameras(
     undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
 ) -> dict[int, RigidTransform]:
-    """Locate the fixed cameras by base corners, median over frames.
+    """Locate the fixed cameras.
 
+    It is by base corners, median over frames.
     Returns {camera index: T_base_camera}
     """
     o, found = undistorted_corners.observations, {}
@@ -136,8 +137,9 @@ def locate_fixed_cameras(
 def locate_cameras_without_base_targets(
     undistorted_corners: UndistortedCorners, cameras: Sequence[Camera]
 ) -> dict[int, RigidTransform]:
-    """Locate fixed cameras without base targets by the body that they all see.
+    """Locate fixed cameras without base targets.
 
+    It is by the body that they all see.
     Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
 
     Returns {camera index: T_base_camera}

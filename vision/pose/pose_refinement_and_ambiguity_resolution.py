@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.model.pose import rotate_in_place
 
 FAR = 0.5  # s to the frame before or after, beyond which it says nothing
@@ -65,8 +65,9 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
 
 
 def rotation_outlier_reasons_by_frame(solved_poses: Poses, t: Floats) -> dict[int, str]:
-    """Rotation outliers among solved poses (4, 4).
+    """Reasons why rotations are outliers, by frame.
 
+    They are of solved poses (4, 4).
     Flips against well-predicted neighbours.
     t : (F,) s
     Returns {frame: reason}

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers, Pixels
-from rig.compute.parallel_map_and_dask_cluster import path_on_workers
+from rig.compute.parallel_map_and_dask_cluster import path_seen_by_cluster_workers
 from rig.errors import FileError
 from rig.model.design import Camera, Design
 from rig.recording.corner_and_pose_csv_tables import Corners
@@ -117,7 +117,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
-    e, design, folder = recording.exposures, recording.design, path_on_workers(recording.folder)
+    e, design, folder = recording.exposures, recording.design, path_seen_by_cluster_workers(recording.folder)
     work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
     tell = _counter(progress, len(work))
     found: dict[int, Detection] = {}
@@ -144,7 +144,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = (
         marker_identity_mistakes_and_expected_marker_places.learn_expected_places(
-            recording, *corners_from_detections(rows), _repeated(_left_out(rows)), marker_map
+            recording, *corners_and_correlation_from_detections(rows), _repeated(_left_out(rows)), marker_map
         )
         if len(rest) > len(taught)
         else None
@@ -184,7 +184,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
     return Collected(
-        *corners_from_detections(rows),
+        *corners_and_correlation_from_detections(rows),
         _left_out(rows),
         _by_camera(rows, "blur"),
         _by_camera(rows, "noise"),
@@ -226,7 +226,9 @@ def _one_after_the_other(
         fresh = [k for k in own if k in rest]
         out.update(zip(fresh, map_images_in_threads(one, [(*work[k][1:], last) for k in fresh], tell)))
         last = known.locate(
-            corners_from_detections([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design
+            corners_and_correlation_from_detections([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0],
+            frame,
+            design,
         )
     return out
 
@@ -283,8 +285,9 @@ def search_missed_markers(
     marker_map: MarkerMap,
     progress: Callable[[int, int], None] | None = None,
 ) -> Collected:
-    """Collected with missed markers added: those expected by the measured poses that were not read.
+    """Search for missed markers, added to Collected.
 
+    They are those expected by the measured poses that were not read.
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
     FALSE_ALARM of its place.
     """
@@ -297,7 +300,7 @@ def search_missed_markers(
     bodies = {
         k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()
     }
-    work, folder = [], path_on_workers(recording.folder)
+    work, folder = [], path_seen_by_cluster_workers(recording.folder)
     for frame, camera_name, name in zip(
         recording.exposures.frame.tolist(), recording.exposures.camera, recording.exposures.image
     ):
@@ -337,7 +340,7 @@ def search_missed_markers(
         for (camera, *_, frame), d in zip(work, map_images_in_processes(one, work, progress))
         if d is not None
     ]
-    extra, correlation = corners_from_detections(found)
+    extra, correlation = corners_and_correlation_from_detections(found)
     return replace(
         collected,
         corners=_joined(collected.corners, extra),
@@ -345,8 +348,11 @@ def search_missed_markers(
     )
 
 
-def corners_from_detections(detections: Sequence[Found]) -> tuple[Corners, Floats]:
-    """Corners of Detections, rows (frame, camera name, Detection), and their correlation (n, 2, 8)."""
+def corners_and_correlation_from_detections(detections: Sequence[Found]) -> tuple[Corners, Floats]:
+    """Corners of Detections, and their correlation (n, 2, 8).
+
+    Detections are rows (frame, camera name, Detection).
+    """
     sizes = [len(d.marker) for *_, d in detections]
     covariance = np.concatenate([d.covariance for *_, d in detections] or [np.zeros((0, 8, 8))])
     own = np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Pixels
-from rig.compute.parallel_map_and_dask_cluster import path_on_workers
+from rig.compute.parallel_map_and_dask_cluster import path_seen_by_cluster_workers
 from rig.compute.worker_processes import worker_count
 from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
@@ -45,7 +45,7 @@ from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_fixed_
 from vision.predict import MarkerMap, State, expected_marker_rows_and_corners_in_image, marker_map, predict_corners
 from vision.reading.corner_reading_from_recording_images import (
     Collected,
-    corners_from_detections,
+    corners_and_correlation_from_detections,
     group_corners_by_image,
     learn_camera_edge_spread,
 )
@@ -60,7 +60,7 @@ STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretc
 def largest_pixel_shift_between_lenses(
     corners: Corners, fitted_with: Mapping[str, Camera], cameras: Sequence[Camera]
 ) -> float:
-    """Largest difference, px, that two lenses make to a marker.
+    """Largest shift, px, of a marker between two lenses.
 
     The lenses fitted with and the adjusted ones.
     corners : all four of every marker
@@ -101,7 +101,7 @@ def refit_corners(
         for frame, camera, name in zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image)
         if name and (int(frame), camera) in seen
     ]
-    folder, spread = path_on_workers(recording.folder), collected.spread
+    folder, spread = path_seen_by_cluster_workers(recording.folder), collected.spread
 
     def one(image: tuple[int, str, str, ReadMarkers]) -> Detection:
         _, camera, name, read = image
@@ -115,7 +115,7 @@ def refit_corners(
         )
 
     found = map_images_in_processes(one, images, progress)
-    corners, correlation = corners_from_detections(
+    corners, correlation = corners_and_correlation_from_detections(
         [(frame, camera, d) for (frame, camera, *_), d in zip(images, found)]
     )
     return replace(collected, corners=corners, correlation=correlation, cameras=lenses)
@@ -287,7 +287,7 @@ class Live:
                 )
                 for key, d in (refitted or seen).items()
             }
-            corners, correlation = corners_from_detections(
+            corners, correlation = corners_and_correlation_from_detections(
                 [(frame, name, refitted.get((frame, name), detection)) for frame, name, detection in rows]
             )
             observed = observations_from_corners(
@@ -300,7 +300,7 @@ class Live:
             if (
                 not seen
                 or largest_pixel_shift_between_lenses(
-                    corners_from_detections([(*key, d) for key, d in refitted.items()])[0],
+                    corners_and_correlation_from_detections([(*key, d) for key, d in refitted.items()])[0],
                     placed_by,
                     measurement.design.cameras,
                 )
@@ -318,7 +318,7 @@ class Live:
             self._adjusting.result()
 
     def _locate(self, frame: int, rows: list[tuple[int, str, Detection]], detections: dict[str, Detection]) -> Sight:
-        corners, correlation = corners_from_detections(rows)
+        corners, correlation = corners_and_correlation_from_detections(rows)
         observed = observations_from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
         observed = replace(observed, covariance=observed.covariance * self._factor)
         nothing = Sight(
@@ -364,7 +364,7 @@ class Live:
 
     def _resected(self, corners: Corners) -> tuple[Camera, ...]:
         """Cameras where their own images of the base's markers put them, before they are adjusted."""
-        every, correlation = corners_from_detections(self._rows)
+        every, correlation = corners_and_correlation_from_detections(self._rows)
         observed = observations_from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
         found = locate_fixed_cameras(
             UndistortedCorners(observed, self.design.cameras, self.markers, FINEST), self.design.cameras

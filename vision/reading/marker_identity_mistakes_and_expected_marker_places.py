@@ -105,8 +105,9 @@ def find_suspicious_markers(
     repeated_ids: Iterable[int] = (),
     image_reader: ReadImage | None = None,
 ) -> tuple[Suspect, ...]:
-    """Find the suspicious markers (Suspects) of a Measurement: those not as rig.toml states.
+    """Find the suspicious markers (Suspects) of a Measurement.
 
+    They are those not as rig.toml states.
     repeated_ids : identities that one image shows more than once, as often as there are such images; image_reader :
         called with
     (frame number, camera name), returns that image, None where there is none; without it markers that are never seen

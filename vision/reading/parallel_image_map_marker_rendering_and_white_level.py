@@ -1,4 +1,4 @@
-"""Parallel image map, and marker rendering.
+"""Parallel map over images, rendering of markers, and their white level.
 
 By threads, processes or cluster; expected images, PNG, white level.
 """
@@ -33,8 +33,9 @@ Result = TypeVar("Result")
 def map_images_in_threads(
     function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """Map a function over images in threads, results in order: for few items, or shared images.
+    """Map a function over images in threads.
 
+    Results are in order. It is for few items, or shared images.
     progress : called with (done, of)
     """
     with _one_thread_each(), ThreadPoolExecutor(worker_count()) as pool:
@@ -44,8 +45,9 @@ def map_images_in_threads(
 def map_images_in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], progress: Callable[..., None] | None
 ) -> list[Result]:
-    """Map a function over images in processes or on a cluster, results in order.
+    """Map a function over images in processes.
 
+    They may be on a cluster; results are in order.
     For many items.
 
     Each item reads an image of its own; what `function` changes elsewhere is lost.
@@ -78,8 +80,9 @@ COMPRESSION = 1  # of the PNG files
 def render_marker_images(
     cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap
 ) -> dict[str, Pixels]:
-    """Render images of the markers as each camera sees them, without occlusion.
+    """Render images of the markers as each camera sees them.
 
+    There is no occlusion.
     Returns {camera: (height, width) uint8}
     """
     return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
@@ -100,8 +103,9 @@ def _picture(camera: Camera, T_base_platform: RigidTransform, markers: MarkerMap
 
 
 def save_image(path: Path, image: Pixels) -> None:
-    """Save an image as PNG, complete before this returns.
+    """Save an image as PNG.
 
+    It is complete before this returns.
     Raises FileError where the disk is full.
     """
     data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, COMPRESSION])[1]

@@ -23,7 +23,7 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
     merge_repeated_samples,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.errors import RigError
 
 MOST = {

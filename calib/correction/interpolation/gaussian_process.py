@@ -25,7 +25,7 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
     merge_repeated_samples,
 )
 from rig.array_and_json_types import Booleans, Floats
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 
 
 class Likelihood:
@@ -249,8 +249,9 @@ def fit_gaussian_process(
     strokes: Floats,
     hyperparameters_from: Radial | None = None,
 ) -> Radial | None:
-    """Gaussian process fitted to noisy summands, or None where noise alone explains them (BIC).
+    """Gaussian process fitted to noisy samples.
 
+    They are of summands; None where noise alone explains them (BIC).
     configurations : (n, axes) m; values : (n,) m; variances : (n,) m^2, stated; axis : the strut's index
     strokes : (axes, 2) m, the configuration space; hyperparameters_from : a Radial whose sizes, lengths and noise are
         taken over, or None

@@ -1,4 +1,4 @@
-"""Field interface of interpolations, and combinations of fields.
+"""Field interface of interpolations, samples of fields, and combinations of fields.
 
 A field has value, gradient and error; combinations are sums and restricted maps.
 

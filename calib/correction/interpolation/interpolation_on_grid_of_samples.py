@@ -64,8 +64,9 @@ class Lattice(NamedTuple):
 
 
 def grid_lattice_of_configurations(configurations: Floats, strokes: Floats) -> Lattice | None:
-    """Grid lattice that configurations (n, axes) fill, all vertices but less than a share LOST.
+    """Grid lattice of configurations (n, axes).
 
+    They fill all its vertices but less than a share LOST.
     None where they fill none.
     strokes : (axes, 2), the scale by which levels are told apart
     """

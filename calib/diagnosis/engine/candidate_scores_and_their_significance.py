@@ -1,4 +1,4 @@
-"""Score of a candidate.
+"""Scores of candidates, and their significance.
 
 Explained chi-square, its chance, its cost in BIC, and the best node of its grid.
 """
@@ -165,7 +165,10 @@ def _is_same_evidence(one: Score[C], other: Score[C], size: int) -> bool:
 def is_significant(
     score: Score[C], candidate_count: int, independent_residual_count: int, policy: SelectionPolicy
 ) -> bool:
-    """Whether a Score is significant: too good for chance over all candidates, and worth its parameters."""
+    """Whether a Score is significant.
+
+    It is where it is too good for chance over all candidates, and worth its parameters.
+    """
     return (
         score.p_value * candidate_count <= policy.alpha
         and score.delta_bic(independent_residual_count) >= policy.delta_bic
@@ -193,8 +196,9 @@ class Threshold(NamedTuple):
 
 
 def least_significant_delta_chi2(rank: float, extra: int, scan: tuple[int, float], threshold: Threshold) -> float:
-    """Least delta chi-square, dispersion allowed for, at which a candidate is significant.
+    """Least delta chi-square at which a candidate is significant.
 
+    Dispersion is allowed for.
     rank : parameters that the data determine; extra : those that the search chooses
     scan : (nodes of the grid, each of which counts as a look of its own, degrees of freedom of the dispersion)
     """
@@ -223,7 +227,10 @@ def may_become_significant_when_fitted(
 
 
 def score_raised_to_likelihood_ratio(score: Score[C], likelihood_ratio: float, frames: int) -> Score[C]:
-    """Score with its delta chi-square raised to that of a fit's likelihood ratio, where that is greater."""
+    """Score raised to the likelihood ratio of a fit.
+
+    Its delta chi-square is, where that is greater.
+    """
     delta = likelihood_ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
     if delta <= score.delta_chi2:
         return score
@@ -244,9 +251,9 @@ def _best_scores_at_axes(promising: list[Score[C]], name: str, size: int) -> lis
 def scores_of_best_effect_at_several_axes(
     promising: list[Score[C]], scores: list[Score[C]], size: int, project: Callable[[list[Score[C]]], Projection]
 ) -> list[Score[C]]:
-    """Scores of the effect that explains most at several axes together, the most convincing first; none where one
-    score alone explains more.
+    """Scores of the best effect at several axes.
 
+    It explains most at them together; the most convincing is first; none where one score alone explains more.
     Axes that are built alike fail alike, and what one hypothesis explains of all is less than what each does of its
     own. An axis that shows nothing alone may do so beside the others: what all have in common, a hypothesis about the
     whole machine may have taken up already, and of lags that have one sign only the longer ones are left to be seen.
@@ -332,8 +339,9 @@ def score_at_node(
     weights: Floats,
     correlated_frames: int = 1,
 ) -> Score[C]:
-    """Score of a candidate at one node of its grid, that of solved_index in solved.
+    """Score of a candidate at one node of its grid.
 
+    It is that of solved_index in solved.
     weights : (F, a, q) there
     """
     coefficients, rank, deltas = solved.coefficients[solved_index], solved.rank[solved_index], solved.delta_chi2

@@ -1,4 +1,4 @@
-"""Candidates, thresholds and outliers of a selection, as data types.
+"""Data types of candidates, of the selection policy (thresholds) and of outliers.
 
 Thresholds with their reasons, excluded outliers, and stated terms.
 """

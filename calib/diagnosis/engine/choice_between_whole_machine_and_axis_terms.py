@@ -1,5 +1,7 @@
-"""Terms of one name about the whole machine, or at its axes apart: which of the two a Fit has, and whether axes show
-a name together that none shows alone.
+"""Choice between terms of the whole machine and terms of its axes.
+
+Terms of one name about the whole machine, or at its axes apart: which of the two a Fit has, and whether axes show a
+name together that none shows alone.
 """
 
 import numpy as np
@@ -21,7 +23,10 @@ def admissible_candidates(problem: Problem[Fit, Model, C], fit: Fit) -> list[C]:
 
 
 def best_score(problem: Problem[Fit, Model, C], fit: Fit, candidates: list[C], size: int) -> Score[C] | None:
-    """Score with the most evidence, by residuals of a size, of candidates beside a Fit; None where none is seen."""
+    """Best Score of candidates beside a Fit.
+
+    It has the most evidence, by residuals of a size; None where none is seen.
+    """
     scores = problem.search(problem.residual(fit), candidates, -np.inf, None)
     return max(scores, key=lambda s: s.evidence(size), default=None)
 
@@ -29,9 +34,11 @@ def best_score(problem: Problem[Fit, Model, C], fit: Fit, candidates: list[C], s
 def fit_with_whole_machine_term_in_place_of_axis_terms(
     problem: Problem[Fit, Model, C], fit: Fit, keys: HypothesisKeys, merged: Merges
 ) -> Fit:
-    """The Fit with one hypothesis about the whole machine in place of a name's terms at several axes, where that is
-    likelier once fitted, by what residuals scatter, and no axis then shows what no name explains; axes may then differ
-    from it anew. merged : those tried, each once"""
+    """The Fit with one whole-machine term in place of a name's terms at several axes.
+
+    It is taken where it is likelier once fitted, by what residuals scatter, and no axis then shows what no name
+    explains; axes may then differ from it anew. merged : those tried, each once
+    """
     terms, size = problem.terms(fit), problem.size(fit)
     for name in dict.fromkeys(c.name for c in terms if c.site.is_axis):
         tried = name, frozenset((c.name, c.place) for c in terms if c.name != name)
@@ -56,8 +63,9 @@ def fit_with_whole_machine_term_in_place_of_axis_terms(
 
 
 def fit_with_axis_terms_in_place_of_whole_machine_term(problem: Problem[Fit, Model, C], fit: Fit) -> Fit | None:
-    """The Fit with a name's terms at each axis in place of one about the whole machine, None where that serves none.
+    """The Fit with terms at each axis in place of one of the whole machine.
 
+    They are of one name; None where that serves none.
     It serves where an axis shows what no name explains, as one does that has less of it than the whole machine where it
     has no negative size; and where the terms apart are likelier, by what residuals scatter.
     """
@@ -77,8 +85,9 @@ def fit_with_axis_terms_in_place_of_whole_machine_term(problem: Problem[Fit, Mod
 def fit_with_whole_machine_term_split_by_axis(
     problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], split: Merges
 ) -> Fit | None:
-    """The Fit with a name's terms at each axis in place of one about the whole machine, None where none is so split.
+    """The Fit with a whole-machine term split by axis.
 
+    It then has a name's terms at each axis; None where none is so split.
     It is where an axis shows the name beside it about as strongly as anything else, and all the axes apart gain more
     than the most promising hypothesis does: what axes have of one law in unequal shares is no other law at some of
     them. Laws with a number to be searched for in every variant are not split.
@@ -135,8 +144,9 @@ def _with_axis_terms(problem: Problem[Fit, Model, C], fit: Fit, own: list[C]) ->
 def fit_with_effect_weak_at_each_axis(
     problem: Problem[Fit, Model, C], fit: Fit, scores: list[Score[C]], tried: set[str]
 ) -> Fit | None:
-    """The Fit with a name at several axes that is too good for chance at all of them together, though at none alone.
+    """The Fit with an effect at several axes that is weak at each.
 
+    It is too good for chance at all of them together, though at none alone.
     What the other axes do counts as scatter at each, so that few frames of a small effect convince nobody. The axes'
     chances are combined by Fisher (Statistical methods for research workers, 1932). None where no name is so. scores :
     of candidates that may be admitted to the Fit; tried : names, each once

@@ -188,8 +188,9 @@ def cross_validation_folds_of_frames(frames: int, has_sudden_effects: bool, side
 def held_out_residuals(
     model: LinearModel, residuals: tuple[Floats, ...], fold: Integers, single_fold: int | None = None
 ) -> HeldOut:
-    """Held-out residuals (HeldOut): those of each fold with the nuisances fitted on the other folds.
+    """Held-out residuals (HeldOut) of each fold.
 
+    They have the nuisances fitted on the other folds.
     residuals : one (m,) for each block, as they are with the nuisances at the model's values
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is
         judged by the fit to all

@@ -1,4 +1,4 @@
-"""Selection of the terms of a model.
+"""Forward and backward selection of the terms of a model.
 
 Forward steps, backward removal, held-out tests, confirmation against alternatives.
 """
@@ -95,7 +95,10 @@ def select_terms(
 def search_further_terms(
     problem: Problem[Fit, Model, C], selection: Selection[Fit, C], removed: set[Site], progress: Progress | None
 ) -> Selection[Fit, C]:
-    """Selection with the terms found in addition to its findings, but for those that were removed: (name, place)."""
+    """Selection with further terms found.
+
+    They are in addition to its findings, but for those that were removed: (name, place).
+    """
     scans, refused = Scans[C](), [c for c in problem.candidates if (c.name, c.place) in removed]
     more = _steps(problem, selection.fit, scans, progress, refused)
     if more is None or len(problem.terms(more)) == len(problem.terms(selection.fit)):

@@ -1,4 +1,4 @@
-"""Lack of fit, shown by smooth functions of covariates.
+"""Tests of lack of fit, excess scatter, and ranking of covariates.
 
 Functions that residuals follow; excess scatter; covariates ranked.
 """
@@ -82,7 +82,9 @@ class LackOfFit:
 def test_lack_of_fit(
     model: LinearModel, products: FrameProducts, test: Test, correlated_frames: int = 1, alpha: float = LIKELY
 ) -> LackOfFit | None:
-    """LackOfFit by a Test of smooth functions, None where the nuisances contain its functions.
+    """Lack of fit (LackOfFit) by a Test of smooth functions.
+
+    None where the nuisances contain its functions.
     alpha : chance above which no dispersion is asked
     """
     normal = normal_equations_by_direction_weights(products, test.weights[None])

@@ -126,8 +126,9 @@ def solve_normal_equations(normal: Normal) -> Solved:
 
 
 def solve_nonnegative(normal: Normal) -> Solved:
-    """Solved normal equations with no coefficient below zero: as many numbers are determined as are above it.
+    """Solved normal equations with no coefficient below zero.
 
+    As many numbers are determined as are above it.
     Given which are above zero, what they explain is distributed as if no others had been there (Kudo, Biometrika 50,
     1963, 403-418). Source of the solution: Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23
     """

@@ -1,4 +1,6 @@
-"""Linear model of whitened residuals.
+"""Linear model of residuals.
+
+Residuals are whitened.
 
 In blocks, frame by frame, with nuisance directions projected out.
 

@@ -66,8 +66,9 @@ def find_alternatives(
     known: tuple[list[Score[C]], Score[C]] | None = None,
     candidates: Callable[[], list[C]] | None = None,
 ) -> list[Alternative[C]]:
-    """Find the alternatives to a finding ([Alternative]) on a model without it, by weight, the best of each place.
+    """Find the alternatives to a finding ([Alternative]).
 
+    They are on a model without it, by weight, the best of each place.
     known : as `Scans.of_same_terms` has it, taken in place of a new scan where that listed all that is asked here
     candidates : a function of those that are scanned, None for all
     """
@@ -117,8 +118,9 @@ def refit_alternatives(
     alternatives: list[Alternative[C]],
     hidden: bool = False,
 ) -> list[Refit[Fit, C]]:
-    """Refit the first alternatives that a scan cannot separate from a finding.
+    """Refit alternatives to a finding.
 
+    They are the first that a scan cannot separate from it.
     A scan takes for scatter what is not admitted yet, and so tells of a strong term far less than it could. Where an
     alternative does worse than the scan said, the other members of its law are refitted too.
     hidden : whether the finding convinces by its fit alone, as they then may
@@ -178,8 +180,9 @@ def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, i
 def confirm_terms(
     problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None
 ) -> tuple[Fit, list[Finding[C]]]:
-    """Confirm each term of a Fit against all candidates: removed, replaced, or retained with its alternatives.
+    """Confirm each term of a Fit.
 
+    All candidates are tried against it: it is removed, replaced, or retained with its alternatives.
     The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them; after a change
     all are gone through anew, and what still explains as much keeps its alternatives. What was replaced does not come
     back, and after a number of replacements nothing is replaced any more: every term of the Fit is a finding in the
@@ -377,8 +380,9 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
 def refit_with_other_member_of_law(
     problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, excluded: Sequence[C] = ()
 ) -> Fit | None:
-    """Refit with another member of a term's law in its place that explains its residuals.
+    """Refit with another member of a term's law.
 
+    It is in the term's place, and explains its residuals.
     None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
     formula.
     model : without it; excluded : members that are not tried

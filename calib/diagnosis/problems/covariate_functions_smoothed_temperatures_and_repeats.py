@@ -1,4 +1,4 @@
-"""Covariates of the remainder, and repeatability.
+"""Functions of covariates, smoothed temperatures, and repeatability of repeated commands.
 
 Logged temperatures are smoothed; repeatability is that of repeated commands.
 
@@ -16,7 +16,7 @@ import scipy
 from scipy.spatial import cKDTree
 
 from calib.diagnosis.engine.cross_validation_and_chance import Interval
-from calib.diagnosis.engine.formula_search import Formula, Library, Quantity
+from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Formula, Library, Quantity
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
@@ -203,8 +203,9 @@ def smooth_functions_of_axis_motion(path: Path, commands: Commands, t: Floats) -
 
 
 def separate_weights_for_each_direction(functions: Floats, count: int) -> Floats:
-    """Design matrix (F, count, count q) in which each direction has its own coefficients of the functions.
+    """Weights (F, count, count q) of the functions, separate for each direction.
 
+    They are the design matrix in which each direction has its own coefficients.
     Functions (F, count or 1, q) become weights (F, count, count q), for `count` directions.
     """
     wide = np.broadcast_to(functions, (len(functions), count, functions.shape[2]))
@@ -222,7 +223,10 @@ def scaled_powers(x: Floats, highest: int) -> Floats:
 
 
 def time_cosines(t: Floats, count: int) -> Floats:
-    """Cosines (F, count) of time, the slowest first."""
+    """Cosines (F, count) of time.
+
+    The slowest is first.
+    """
     s = (t - t[0]) / max(np.ptp(t), 1e-300)
     return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
 
@@ -271,7 +275,10 @@ class Suggestion:
 def library_of_quantities(
     motion: Motion, axis: int | None, directions: int = 1, exclude_axis_quantities: bool = False
 ) -> Library:
-    """Library of the quantities that vary: of one axis by its index, of all alike (None), or of the platform."""
+    """Library of the quantities that vary.
+
+    They are of one axis by its index, of all alike (None), or of the platform.
+    """
     own = None if axis is None else f"travel of {motion.places[axis]}"
     out = []
     for q in quantities_of_motion(motion, not exclude_axis_quantities):

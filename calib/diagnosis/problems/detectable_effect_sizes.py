@@ -53,8 +53,11 @@ class SizeParameter(NamedTuple):
 
 
 def size_parameter(spec: EffectCandidate, node: Node) -> SizeParameter | None:
-    """SizeParameter of a candidate at a node: the linear one, the one sought over the grid where none is linear. None
-    for several numbers, and where neither is there."""
+    """Size parameter (SizeParameter) of a candidate at a node.
+
+    It is the linear one, the one sought over the grid where none is linear. None for several numbers, and where neither
+    is there.
+    """
     by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
     named = [column.name for column in spec.linear if column.name != QUADRATURE]
     if not named:
@@ -97,7 +100,7 @@ def sampled_nodes(grid: Sequence[Node]) -> list[Node]:
 
 
 def mean_square(moved: Floats) -> Floats:
-    """(q, q) mean square length, by the coefficients, of what moves (n, a, q) per unit of each."""
+    """Mean square (q, q) of what moves (n, a, q) per unit of each coefficient."""
     return np.einsum("nai,naj->ij", moved, moved) / len(moved)
 
 
@@ -108,8 +111,9 @@ def detectable_size(
     dispersion: Callable[[Node], Dispersion],
     threshold: Threshold,
 ) -> DetectableSize:
-    """DetectableSize of a candidate at its middle node by size.
+    """Detectable size (DetectableSize) of a candidate.
 
+    It is at its middle node by size.
     spec_at : of a node, the effect's candidate with its columns; looks : of some nodes; dispersion : of the residuals
         about a node
     """
@@ -135,8 +139,10 @@ def detectable_size(
 
 
 def smallest_of_each_place(sizes: Iterable[DetectableSize]) -> list[DetectableSize]:
-    """The smallest of an effect's variants at each place, in the order of the search; of an effect that one number
-    tells, those by that number."""
+    """Smallest of an effect's sizes at each place.
+
+    They are of its variants, in the order of the search; of an effect that one number tells, those by that number.
+    """
     sizes = list(sizes)
     by_number = {one.effect for one in sizes if one.parameter != RMS}
     out: dict[tuple[str, str], DetectableSize] = {}

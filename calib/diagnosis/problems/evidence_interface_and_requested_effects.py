@@ -176,8 +176,9 @@ def value_with_interval_cut_at_bounds(
 def onset_time_with_interval(
     t: Floats, onset_time: float, origin: TimeOrigin, onset_interval: tuple[float, float] | None = None
 ) -> Value:
-    """Onset time by the owner's clock, with its interval: the times of the frames between which it lies.
+    """Onset time with its interval.
 
+    It is by the owner's clock; the interval is the times of the frames between which it lies.
     t : (n,) s of the frames; onset_time : s from the recording's start
     onset_interval : (earliest, latest) s, where it may lie between other frames as well
     """

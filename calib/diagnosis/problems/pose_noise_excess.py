@@ -107,8 +107,9 @@ def scaled_pose_covariance(covariance: Floats, factors: dict[str, Value]) -> Flo
 
 
 def slices_by_kind_of_noise(values_per_pose: int) -> dict[str, slice]:
-    """Slices of a pose's measured numbers by kind of noise: position and rotation, or direction.
+    """Slices of a pose's measured numbers by kind of noise.
 
+    The kinds are position and rotation, or direction.
     Returns {kind of noise: its part} of so many numbers measured of each pose
     """
     return (

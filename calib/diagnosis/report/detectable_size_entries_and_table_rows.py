@@ -1,4 +1,7 @@
-"""How large each effect would have to be to be found: entries of diagnosis.json, table rows and lines."""
+"""Entries, table rows and lines of detectable effect sizes.
+
+They say how large each effect would have to be to be found; entries are of diagnosis.json.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,8 +35,11 @@ class DetectableEntry:
     is_greatest: bool = False
 
 
-def detectable_entries(sizes: Sequence[DetectableSize]) -> tuple[DetectableEntry, ...]:
-    """Entries of detectable sizes, one for each effect and parameter, in their order."""
+def detectable_size_entries(sizes: Sequence[DetectableSize]) -> tuple[DetectableEntry, ...]:
+    """Entries of detectable effect sizes.
+
+    They are one for each effect and parameter, in their order.
+    """
     by: dict[tuple[str, str, str], list[DetectableSize]] = {}
     for one in sizes:
         by.setdefault((one.effect, one.parameter, one.unit), []).append(one)
@@ -45,8 +51,11 @@ def detectable_entries(sizes: Sequence[DetectableSize]) -> tuple[DetectableEntry
     return tuple(out)
 
 
-def detectable_row(entry: DetectableEntry) -> tuple[str, str, str, str]:
-    """Table row of how large an effect would have to be to be found: effect, parameter, at best and at worst."""
+def detectable_size_row(entry: DetectableEntry) -> tuple[str, str, str, str]:
+    """Table row of a detectable effect size.
+
+    It says how large an effect would have to be to be found: effect, parameter, at best and at worst.
+    """
 
     def text(one: DetectablePlace) -> str:
         if one.size is None:
@@ -58,7 +67,10 @@ def detectable_row(entry: DetectableEntry) -> tuple[str, str, str, str]:
     return entry.effect.replace("_", " "), name, text(entry.best), text(entry.worst)
 
 
-def detectable_line(entry: DetectableEntry) -> str:
-    """The same as a line."""
-    effect, name, best, worst = detectable_row(entry)
+def detectable_size_line(entry: DetectableEntry) -> str:
+    """Line on a detectable effect size.
+
+    It says the same as the table row.
+    """
+    effect, name, best, worst = detectable_size_row(entry)
     return f"would have shown: {effect}, {name} {best}" + (f", {worst}" if worst != best else "")

@@ -251,7 +251,10 @@ def recording_entries(parts: tuple[RecordingPart, ...]) -> tuple[RecordingEntry,
 
 
 def json_tree(value: object) -> object:
-    """JSON tree of dicts and lists; of dataclasses, optional fields that are None or empty are left out."""
+    """JSON tree of dicts and lists.
+
+    Of dataclasses, optional fields that are None or empty are left out.
+    """
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
         return {name: json_tree(v) for name, v in items.items() if v is not None}
@@ -351,7 +354,10 @@ def remark_reason_sentence(reason: str) -> str:
 
 
 def largest_unexplained_part(diagnosis: Diagnosis) -> Unexplained | None:
-    """Largest unexplained lack of fit of a Diagnosis, else the scatter of poses beyond their stated noise, or None."""
+    """Largest unexplained part of a Diagnosis.
+
+    It is a lack of fit, else the scatter of poses beyond their stated noise, or None.
+    """
     if diagnosis.left:
         first = diagnosis.left[0]
         return Unexplained(str(first.place), first.magnitude, first.unit, first.depends_on)
@@ -363,7 +369,10 @@ def largest_unexplained_part(diagnosis: Diagnosis) -> Unexplained | None:
 
 
 def unnamed_finding_entries(lacks_of_fit: list[LackOfFit]) -> list[FindingEntry]:
-    """Entries of findings without a name, one for each place with a lack of fit."""
+    """Entries of findings without a name.
+
+    They are one for each place with a lack of fit.
+    """
     return [
         FindingEntry(UNKNOWN, str(u.place), _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2))
         for u in first_lack_of_fit_of_each_place(lacks_of_fit)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows
-from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_row
+from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_row
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, diagnosis_verdict
 from calib.report.pose_and_effect_figures import effect_sketch
@@ -305,7 +305,7 @@ def _detectable(report: Report) -> list[str]:
     if not report.detectable:
         return []
     heads = ("effect", "size by", "found from, at best", "found from, at worst")
-    rows = [detectable_row(entry) for entry in report.detectable]
+    rows = [detectable_size_row(entry) for entry in report.detectable]
     return [
         heading_html("What this recording would have shown"),
         paragraph_html(

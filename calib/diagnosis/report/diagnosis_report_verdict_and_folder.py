@@ -21,7 +21,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows, residual_figures_and_finding_contributions
-from calib.diagnosis.report.detectable_size_entries_and_table_rows import DetectableEntry, detectable_entries
+from calib.diagnosis.report.detectable_size_entries_and_table_rows import DetectableEntry, detectable_size_entries
 from calib.diagnosis.report.diagnosis_json_entries import (
     SCHEMA,
     UNKNOWN,
@@ -55,7 +55,7 @@ from calib.diagnosis.report.diagnosis_sentences_and_table_rows import (
 )
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     errors_at_and_beyond_fitted_joint_angles,
-    position_error_statistics,
+    position_error_statistics_and_mean_rotation_error,
 )
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Json
@@ -159,7 +159,7 @@ class Report(OneLineRepr):
 
 
 def summary_sentence(report: Report) -> str:
-    """Summary sentence of a Report: the findings, the biggest first, and what is unexplained."""
+    """Summary sentence of a Report."""
     worst, left = report.unexplained, ""
     if worst is not None:
         left = (
@@ -214,7 +214,7 @@ def diagnosis_verdict(report: Report) -> Verdict:
 
 
 def unexplained_sentences(report: Report) -> tuple[str, ...]:
-    """Sentences on what a Report leaves unexplained by the model."""
+    """Sentences on what a Report leaves unexplained."""
     named = [f"the model omits {diagnosis_sentences_and_table_rows.finding_title(f)}" for f in report.mattering]
     unknown = [f"no catalogued effect explains the residual at {f.place}" for f in report.unknown]
     if not report.unknown and report.unexplained is not None:
@@ -246,7 +246,7 @@ def missing_evidence_of_report(report: Report) -> tuple[MissingEvidence, ...]:
 
 
 def write_diagnosis_json(folder: Path, report: Report) -> None:
-    """Write diagnosis.json into a folder: the Report's tree, its verdict after its schema."""
+    """Write diagnosis.json into a folder."""
     tree = report.tree()
     write_text(
         folder / "diagnosis.json",
@@ -255,7 +255,7 @@ def write_diagnosis_json(folder: Path, report: Report) -> None:
 
 
 def recommended_actions(report: Report) -> list[str]:
-    """Recommended actions of a Report: what an owner does next."""
+    """Recommended actions of a Report."""
     actions = [
         f"{title[0].upper()}{title[1:]}: {f.action}".removesuffix(".")
         for f in report.mattering or report.named
@@ -310,14 +310,14 @@ def diagnosis_report(diagnosis: Diagnosis) -> Report:
         crowd=diagnosis.outliers.crowd,
         asked=diagnosis.selection.candidate_count,
         noise_times=diagnosis.noise.times,
-        detectable=detectable_entries(diagnosis.detectable),
+        detectable=detectable_size_entries(diagnosis.detectable),
     )
 
 
 def write_diagnosis_json_and_simulation_files(
     folder: Path, diagnosis: Diagnosis, recording: Recording, report: Report
 ) -> None:
-    """Write the folder of a diagnosis.
+    """Write diagnosis.json and the files to simulate its findings by into a folder.
 
     It holds diagnosis.json, and files to simulate its findings by.
 
@@ -337,7 +337,7 @@ def write_diagnosis_json_and_simulation_files(
 
 
 def copy_recording_files_without_images(folder: Path, recording: Recording) -> None:
-    """Copy a recording's files into a folder.
+    """Copy a recording's files, but no images, into a folder.
 
     They are rig.toml, commands, frames and sensors, no images.
 
@@ -350,7 +350,7 @@ def copy_recording_files_without_images(folder: Path, recording: Recording) -> N
 
 
 def held_out_entries(diagnosis: Diagnosis) -> Json:
-    """Entries of diagnosis.json {key: tree} on held-out data: time stretches, travel regions and repeats."""
+    """Held-out entries of diagnosis.json {key: tree}."""
     out: Json = {}
     if isinstance(diagnosis.evidence, ScatterSize):
         unit = diagnosis.misfits[diagnosis.shown_in].unit
@@ -359,8 +359,8 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
         out["held_out"] = [
             {
                 "stretches": h.stretches,
-                "before": position_error_statistics(h.before),
-                "after": position_error_statistics(h.after),
+                "before": position_error_statistics_and_mean_rotation_error(h.before),
+                "after": position_error_statistics_and_mean_rotation_error(h.after),
                 **errors_at_and_beyond_fitted_joint_angles(h),
                 "chosen": [list(n) for n in h.names],
             }
@@ -376,7 +376,10 @@ def held_out_entries(diagnosis: Diagnosis) -> Json:
 
 
 def repeatability_entry(diagnosis: Diagnosis) -> Json | None:
-    """Entry on how well poses repeat; None where too few commands were repeated."""
+    """Entry on repeatability.
+
+    It says how well poses repeat; None where too few commands were repeated.
+    """
     repeats = diagnosis.repeats
     if repeats is None:
         return None

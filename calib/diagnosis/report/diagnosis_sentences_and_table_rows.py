@@ -29,7 +29,10 @@ SELDOM = 1e-3  # chance of a finding where there is nothing, from which it is on
 
 
 def value_text(value: float, unit: str, with_unit: bool = True, digits: int = 3) -> str:
-    """Text of a value in the unit that people read it in, to so many digits."""
+    """Text of a value in its unit.
+
+    It is the unit that people read it in, to so many digits.
+    """
     scale, name = SCALES.get(unit, (1, unit))
     text = (
         "unlimited"
@@ -89,8 +92,9 @@ def finding_size_text(finding: FindingEntry | RemarkEntry) -> str:
 
 
 def assumed_or_seen_before_suffix(finding: FindingEntry) -> str:
-    """Suffix " (assumed)" or " (seen before)" of a finding, else empty.
+    """Suffix " (assumed)" or " (seen before)" of a finding.
 
+    It is empty for others.
     Of one that the operator stated beforehand.
     """
     return f" ({finding.said})" if finding.said else ""
@@ -105,7 +109,10 @@ def as_sentence(text: str) -> str:
 
 
 def excluded_outlier_texts(outlier: LeftOut) -> tuple[str, str, str, str]:
-    """Frame, place, distance and reason of an outlier (a pose or corners) left out of a diagnosis."""
+    """Texts on an excluded outlier (a pose or corners).
+
+    They are frame, place, distance and reason, left out of a diagnosis.
+    """
     return (
         str(outlier.frame),
         outlier.place,
@@ -146,7 +153,10 @@ def probability_text(p: float | None) -> str:
 
 
 def evidence_sentence(finding: FindingEntry) -> str:
-    """Sentence on the evidence of a finding, empty where there is none."""
+    """Sentence on the evidence of a finding.
+
+    It is empty where there is none.
+    """
     e = finding.evidence
     if (
         e.delta_bic is None
@@ -190,7 +200,10 @@ def unexplained_sentence(unexplained_findings: Sequence[FindingEntry]) -> str:
 
 
 def formula_suggestion_sentences(entry: SuggestionEntry) -> str:
-    """Sentences on a suggested formula in place of a name, and on its error on data that did not choose it."""
+    """Sentences on a suggested formula.
+
+    It is in place of a name, and has an error on data that did not choose it.
+    """
     before, after, floor = (
         value_text(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise)
     )
@@ -215,8 +228,9 @@ def parameter_rows_of_suggested_formula(entry: SuggestionEntry) -> list[tuple[st
 def covariate_table_heads_and_rows(
     covariates: Sequence[CovariateEntry],
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Table (heads, rows) of the remainder's covariates and the shares that they explain.
+    """Table (heads, rows) of covariates.
 
+    They are the remainder's, with the shares that they explain.
     Shares of the squares and smallest chance before and after.
     """
     looked_at = list(dict.fromkeys(what for c in covariates for what in c.explains))
@@ -272,8 +286,9 @@ def _interval(p: Value) -> str:
 
 
 def finding_line(finding: FindingEntry, max_numbers_per_parameter: int = 6) -> str:
-    """Line on a finding for a terminal, in SI units.
+    """Line on a finding.
 
+    It is for a terminal, in SI units.
     max_numbers_per_parameter : numbers of a parameter that are printed; of more, how many there are
     """
     return f"{finding.effect} at {finding.place}: " + ", ".join(
@@ -326,8 +341,9 @@ def noise_excess_text(noise_factors: dict[str, Value]) -> str:
 def nothing_found_sentence(
     outliers_not_excluded: Crowd | None, noise_source: str, noise_factors: dict[str, Value]
 ) -> str:
-    """Sentence on what it is worth that nothing was found.
+    """Sentence on nothing found.
 
+    It says what it is worth that nothing was found.
     Nothing, where the noise is not stated.
     """
     if outliers_not_excluded is not None:

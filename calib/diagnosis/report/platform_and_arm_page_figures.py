@@ -16,7 +16,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
     mean_residual_figures_over_camera_image,
     model_residuals,
-    position_error_statistics,
+    position_error_statistics_and_mean_rotation_error,
     residual_scatter_figure,
     residuals_in_time_figure,
     residuals_without_effects,
@@ -135,7 +135,7 @@ class ArmFigures:
             near = h.far <= SAME_ANGLE
             for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
                 if len(left):
-                    f = position_error_statistics(left)
+                    f = position_error_statistics_and_mean_rotation_error(left)
                     rows.append(
                         [
                             f"{label}, {h.stretches} stretches",

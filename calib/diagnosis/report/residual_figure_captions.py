@@ -1,4 +1,7 @@
-"""Captions of the residual figures of a diagnosis: what is drawn, in which unit, and how good and bad ones look."""
+"""Captions of the residual figures of a diagnosis.
+
+They say what is drawn, in which unit, and how good and bad ones look.
+"""
 
 DOTS = (
     "Small dots are residuals, large ones means of equal numbers of them with their 95 % interval; units stand at the "

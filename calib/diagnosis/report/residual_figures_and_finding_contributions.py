@@ -58,7 +58,10 @@ def write_finding_contributions_table(path: Path, diagnosis: Diagnosis) -> None:
 
 
 def worst_pose_contribution_figure(evidence: PoseContributions[Fit, C], selection: Selection[Fit, C]) -> str:
-    """Figure of the findings' contributions at the worst poses, a stacked bar for each pose."""
+    """Figure of the findings' contributions at the worst poses.
+
+    It has a stacked bar for each pose.
+    """
     frames, names, sizes = evidence.contributions(selection)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
     scale = (END - START) / float(sizes[worst].sum(axis=1).max())
@@ -152,7 +155,10 @@ def _bins(x: Floats) -> list[Floats]:
 
 
 def residuals_in_time_figure(title: str, t: Floats, values: Floats, residual_label: str) -> str:
-    """Figure of residuals (n,) at times t (n,) s, with their running mean."""
+    """Figure of residuals (n,) at times t (n,) s.
+
+    It has their running mean.
+    """
     order, width = np.argsort(t), max(len(t) // 25, 1)
     ones = np.ones(width) / width
     mean = Series(
@@ -367,7 +373,7 @@ def mean_residual_figures_over_camera_image(
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 
 
-def position_error_statistics(pose_errors: Floats) -> dict[str, float]:
+def position_error_statistics_and_mean_rotation_error(pose_errors: Floats) -> dict[str, float]:
     """Statistics of position errors, and the mean rotation error.
 
     Mean, RMS, p95, maximum (m) and count; rotation in rad. Of errors of directions (n, 2) all in rad.
@@ -396,6 +402,6 @@ def errors_at_and_beyond_fitted_joint_angles(held_out_poses: HeldOutPoses) -> Js
     """
     near = held_out_poses.far <= SAME_ANGLE
     return {
-        name: position_error_statistics(held_out_poses.after[rows]) if rows.any() else None
+        name: position_error_statistics_and_mean_rotation_error(held_out_poses.after[rows]) if rows.any() else None
         for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))
     }

@@ -86,7 +86,10 @@ class Outline:
 
 
 def rig_outline_figure(point: OperatingPoint, marked_places: list[str]) -> str:
-    """Figure of the rig's outline at the middle of its poses, places of findings marked."""
+    """Figure of the rig's outline, marked places in it.
+
+    It is at the middle of its poses; the places are those of findings.
+    """
     k, drawn = point, Outline()
     T, colour = k.T.mean(), _part_colours(marked_places)
     m = k.design.mechanism

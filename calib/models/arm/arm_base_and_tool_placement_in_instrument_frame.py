@@ -1,4 +1,4 @@
-"""Placement of an arm in an instrument's frame.
+"""Placement of an arm's base and tool in an instrument's frame.
 
 For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear,
 and what is then left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't,

@@ -40,7 +40,7 @@ from calib.report.platform_and_lens_calibration_pages import (
     write_calibration_page_from_parts,
 )
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
 from rig.array_and_json_types import Floats
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
@@ -70,8 +70,9 @@ def write_arm_calibration_page(
     certified: CertifiedArm,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of an arm's calibration, as certified on held-out samples.
+    """Write the HTML page of an arm's calibration.
 
+    It is as certified on held-out samples.
     links : to other pages
     """
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)

@@ -1,4 +1,7 @@
-"""Certification of an arm's calibration by stretches held out in turn."""
+"""Certification of an arm's calibration.
+
+Stretches are held out in turn.
+"""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -39,7 +42,7 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     identification_with_held_out_scatter,
     mean_square_arm_errors_caused_by_parameters,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
@@ -88,8 +91,9 @@ def certify_arm(
     progress: Progress | None = None,
     physics: JointFit | None = None,
 ) -> CertifiedArm:
-    """Certified arm: geometry, and joint profiles only where they improve held-out errors.
+    """Certified arm.
 
+    It has its geometry, and joint profiles only where they improve held-out errors.
     samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the
         rig's own frames)
     rng : numpy Generator, for the random rows and the bootstrap; progress : called with (label, done, of), or None
@@ -262,15 +266,19 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
 
 
 def start_arm_of_fit(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
-    """Arm at which a fit starts: nominal, with base and tool as placed by the observations."""
+    """Arm at which a fit starts.
+
+    It is nominal, with base and tool as placed by the observations.
+    """
     if instrument is None:
         return nominal
     return place_base_and_tool_of_arm(observations, nominal, instrument.base == "free", instrument.tool == "free")
 
 
 def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
-    """Nominal arm placed in the instrument's frame; nothing else is fitted.
+    """Nominal arm placed in the instrument's frame.
 
+    Nothing else is fitted.
     start : Arm of `start_arm_of_fit`
     """
     if instrument is None or "free" not in (instrument.base, instrument.tool):

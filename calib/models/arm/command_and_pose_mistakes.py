@@ -151,8 +151,9 @@ class ReachedPoses:
 
 
 def find_mistakes_of_several_hands(recording: Recording) -> tuple[Mistake, ...]:
-    """Mistakes that make commands and poses of an arm's hands disagree, hand by hand, or two hands that are exchanged.
+    """Mistakes of several hands of an arm.
 
+    They make commands and poses disagree, hand by hand, or are two hands that are exchanged.
     recording : whose poses are of several hands
     """
     names, poses = hand_names(recording.design.mechanism), recording.poses
@@ -170,7 +171,10 @@ def find_mistakes_of_several_hands(recording: Recording) -> tuple[Mistake, ...]:
 
 
 def find_arm_mistakes(recording: Recording) -> tuple[Mistake, ...]:
-    """The mistake in an arm's commands and poses that makes them disagree, if there is one."""
+    """Mistakes in an arm's commands and poses.
+
+    They are none, or the one that makes commands and poses disagree.
+    """
     arm = recording.design.mechanism
     instrument = recording.design.instrument
     if (

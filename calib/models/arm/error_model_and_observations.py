@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.base_and_link_tilt_sensors import TiltReadings
 from rig.model.mechanism_geometry_classes import Arm
@@ -89,7 +89,10 @@ def predicted_target_poses(q: Floats, arm: Arm, hand: Integers | None = None) ->
 
 
 def joint_jacobian(q: Floats, arm: Arm, hand: Integers | None = None) -> Floats:
-    """Joint Jacobian (..., 6, n): change of the target's pose (m, rad) with joint values q (..., n). hand : as there"""
+    """Joint Jacobian (..., 6, n) of the target's pose.
+
+    It is the change (m, rad) with joint values q (..., n). hand : as there
+    """
     return mechanism.evaluate_with_hand_of_each_row(mechanism.jacobian, q, arm, hand)
 
 

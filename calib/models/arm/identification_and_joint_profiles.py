@@ -164,7 +164,10 @@ def whitened_tilt_rows_and_columns(
 
 
 def require_enough_observations(count: int, numbers_each: int, parameter_count: int) -> None:
-    """Raise NotEnoughData where `count` observations are not enough for the parameters, with how many it takes."""
+    """Raise NotEnoughData where `count` observations are not enough.
+
+    The error says how many the parameters take.
+    """
     if numbers_each * count <= parameter_count:
         raise NotEnoughData(
             f"{count} observations give {numbers_each * count} equations, too few for {parameter_count} "

@@ -32,7 +32,7 @@ from calib.models.arm.identification_and_joint_profiles import (
     whitened_tilt_rows_and_columns,
 )
 from calib.models.arm.tilt_observations import TiltWeights, link_rotation_jacobian_by_joints, tilt_equation_rows
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (

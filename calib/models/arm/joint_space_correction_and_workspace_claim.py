@@ -61,7 +61,7 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     mean_square_arm_errors_caused_by_parameters,
     unexplained_scatter_sentences,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Instrument
@@ -74,7 +74,10 @@ PLACES_HELD = 256  # at which a single step is held against the fixed point, and
 
 
 def joint_correction_field_samples(samples: Samples, arm: Arm, common_error_draw: Floats) -> FieldSamples:
-    """Samples for a field of joint correction summands, rad or m, common errors removed."""
+    """Samples for a field of joint correction summands, rad or m.
+
+    Common errors are removed.
+    """
     found = commanded_minus_joint_values_of_measured_poses(samples, arm, common_error_draw)
     return FieldSamples(
         samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel_ranges(arm)
@@ -194,7 +197,10 @@ def nominal_arm_correction(
 
 
 def unfitted_arm(observations: Observations, arm: Arm) -> Identified:
-    """An arm as it is, with nothing fitted, and what it leaves of observations."""
+    """Unfitted arm (Identified).
+
+    Nothing is fitted; it says what the arm leaves of observations.
+    """
     p, k = 12 + 5 * len(arm.joints), observations.common.shape[1]
     rank = Rank(np.zeros(p, bool), (), 1.0, 0)
     return Identified(
@@ -296,13 +302,19 @@ def _summand(correction: ArmCorrection, q: Floats) -> Floats:
 
 
 def configurations_evenly_over_visited_joint_ranges(correction: ArmCorrection) -> Floats:
-    """(m, joints) rad or m, evenly over the middle of the values visited."""
+    """Configurations (m, joints) rad or m, evenly over visited joint ranges.
+
+    They are over the middle of the values visited.
+    """
     seen = np.stack([correction.visited.min(axis=0), correction.visited.max(axis=0)], axis=1)
     return sobol_configurations(seen, PLACES_HELD, FILL)
 
 
 def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.random.Generator) -> Claim:
-    """Claim of a certified arm over its workspace of recorded joint angles, each configuration once."""
+    """Claim of a certified arm over its workspace.
+
+    It is that of recorded joint angles, each configuration once.
+    """
     found, correction = certified.found, certified.correction
     good = found.inliers
     if samples.measured in UNPLACED:

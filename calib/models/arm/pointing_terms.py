@@ -19,7 +19,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.models.arm import error_model_and_observations
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
 from rig.array_and_json_types import Floats, Json
-from rig.effects.catalogue.effect_list import deflection_under_link_weight, mass_and_moments_over_stiffness
+from rig.effects.catalogue.effect_list import compliance_under_link_weight, mass_and_moments_over_stiffness
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
 from rig.model.design import Design
@@ -94,8 +94,9 @@ class PointingTerms:
 
 
 def mount_kind(arm: Arm) -> str | None:
-    """Kind of mount by an Arm's first axis as stated.
+    """Kind of mount of an Arm.
 
+    It is by the first axis as stated.
     "altazimuth" or "equatorial"; None without two turning axes.
     """
     if len(arm.joints) != 2 or arm.slides.any():
@@ -105,8 +106,9 @@ def mount_kind(arm: Arm) -> str | None:
 
 
 def tube_flexure_effect(arm: Arm) -> tuple[Effect, ...]:
-    """The effect by which the tube of an altazimuth mount sinks at its second joint.
+    """Effect of the flexure of a mount's tube.
 
+    The tube of an altazimuth mount sinks by it at its second joint.
     None of other arms.
 
     It is the joint's compliance under one mass moment, along the tube.
@@ -117,7 +119,7 @@ def tube_flexure_effect(arm: Arm) -> tuple[Effect, ...]:
         return ()
     moments = np.zeros(8)
     moments[5 + axis] = START
-    return (deflection_under_link_weight("joint 2", tuple(moments.tolist())),)
+    return (compliance_under_link_weight("joint 2", tuple(moments.tolist())),)
 
 
 def pointing_terms(design: Design, calibration: Calibration, commanded: Floats) -> PointingTerms | None:
@@ -184,8 +186,8 @@ def pointing_terms_of_parameters(
     return PointingTerms(mount, tuple(names), tuple(table[name][0] for name in names), values, sigma, tuple(lines))
 
 
-def pointing_term_jacobian(q: Floats, arm: Arm) -> tuple[tuple[str, ...], Floats]:
-    """Change (n, 6, t) of the hand's tangent with each pointing term, and their names.
+def pointing_term_jacobian_and_names(q: Floats, arm: Arm) -> tuple[tuple[str, ...], Floats]:
+    """Jacobian (n, 6, t) of the hand's tangent by pointing terms, and their names.
 
     At commands q (n, 2), with its turn about x and y.
     Raises RigError for an arm that is no mount

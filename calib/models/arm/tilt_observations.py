@@ -84,7 +84,10 @@ class TiltRows:
 
 
 def tilt_equation_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
-    """TiltRows of readings of an arm at joint values q (n, joints), at the mounting that explains them best."""
+    """TiltRows of readings of an arm at joint values q (n, joints).
+
+    They are at the mounting that explains the readings best.
+    """
     sensors = readings.sensors
     links = mechanism.single_hand_arm_link_frames(q, arm)[:, [sensor.link for sensor in sensors], :3, :3]
     sigma = readings.mounting_sigma
@@ -100,7 +103,7 @@ def tilt_equation_rows(readings: TiltReadings, q: Floats, arm: Arm) -> TiltRows:
 
 
 def link_rotation_jacobian_by_parameters(readings: TiltReadings, q: Floats, arm: Arm, pose_jacobian: Floats) -> Floats:
-    """Turns (n, s, 3, p) rad of the sensors' links by an arm's parameters.
+    """Jacobian (n, s, 3, p) rad of the rotation of the sensors' links by an arm's parameters.
 
     About the axes of the frame of poses.
     pose_jacobian : (n, 6, p) of the target's pose with them: a link turns as the target does, by what lies before it
@@ -112,7 +115,7 @@ def link_rotation_jacobian_by_parameters(readings: TiltReadings, q: Floats, arm:
 
 
 def link_rotation_jacobian_by_joints(readings: TiltReadings, q: Floats, arm: Arm) -> Floats:
-    """Turns (n, s, 3, joints) of the sensors' links by the joints.
+    """Jacobian (n, s, 3, joints) of the rotation of the sensors' links by the joints.
 
     In rad per rad of each joint.
     """

@@ -50,7 +50,7 @@ from calib.report.platform_and_lens_calibration_pages import (
     write_calibration_page_from_parts,
 )
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import mechanism_chain as mechanism
@@ -140,8 +140,10 @@ def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
 
 
 def chain_workspace_values_and_poses(correction: AnyCorrection, commanded: Floats) -> tuple[Floats, RigidTransform]:
-    """Values (n, axes) m or rad over the middle of every travel, all axes independent, and their poses (n,); where a
-    correction is extended, over the middle of what was commanded (m, axes).
+    """Values (n, axes) m or rad over a chain's workspace, and their poses (n,).
+
+    They are over the middle of every travel, all axes independent; where a correction is extended, over the middle of
+    what was commanded (m, axes).
     """
     ranges = mechanism.travel_ranges(correction.nominal)
     if correction.is_extended:
@@ -150,7 +152,10 @@ def chain_workspace_values_and_poses(correction: AnyCorrection, commanded: Float
 
 
 def chain_workspace_claim(samples: Samples, certified: CertifiedChain, rng: np.random.Generator) -> Claim:
-    """Claim of a certified chain over its workspace, each configuration once."""
+    """Claim of a certified chain over its workspace.
+
+    Each configuration counts once.
+    """
     found, nominal = certified.found, certified.correction.nominal
     retained = samples.take(found.inliers)
     label = np.unique(certified.label[found.inliers], return_inverse=True)[1]
@@ -200,8 +205,9 @@ def write_chain_calibration_page(
     certified: CertifiedChain,
     links: Sequence[Link] = (),
 ) -> None:
-    """Write the HTML page of a chain's calibration, as certified on held-out samples.
+    """Write the HTML page of a chain's calibration.
 
+    It is as certified on held-out samples.
     links : to other pages
     """
     parts = [

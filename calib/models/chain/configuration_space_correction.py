@@ -1,4 +1,6 @@
-"""Correction of a chain over its configuration space, certified on held-out configurations.
+"""Correction of a chain over its configuration space.
+
+It is certified on held-out configurations.
 
 Summands are commands less the axis values nearest to them that give the measured pose, each axis in shares of its
 travel: with more axes than freedoms the least that explain it. Source: configuration-space patent, [0026] to [0030],
@@ -33,7 +35,7 @@ from calib.models.chain.error_model_and_identification import (
     parameter_jacobian,
     parameter_tolerances,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Chain
 from rig.model.mechanisms import mechanism_chain as mechanism
@@ -44,8 +46,9 @@ NEAR = 0.1  # of an axis' travel, by which the model may be off
 
 
 def chain_correction_summands(samples: Samples, chain: Chain, covariance: Floats) -> CorrectionSummands:
-    """Correction summands (n, axes) m or rad of a chain's axes at samples, nearest to none.
+    """Correction summands (n, axes) m or rad of a chain at samples.
 
+    They are of its axes, nearest to none.
     covariance : (n, 6, 6) of the measured poses. Raises RigError as `correction_summands_by_nearest_axis_values`
     """
 
@@ -58,7 +61,10 @@ def chain_correction_summands(samples: Samples, chain: Chain, covariance: Floats
 
 
 def chain_correction_field_samples(samples: Samples, chain: Chain) -> FieldSamples:
-    """Samples for a field of correction summands; what moves no pose adds nothing to their variances."""
+    """Samples for a field of a chain's correction summands.
+
+    What moves no pose adds nothing to their variances.
+    """
     known, ranges = chain_correction_summands(samples, chain, samples.covariance), mechanism.travel_ranges(chain)
     span = np.ptp(ranges, axis=1)
     U, s, Vt = np.linalg.svd(mechanism.jacobian(samples.effective, chain) * span, full_matrices=False)
@@ -125,9 +131,10 @@ def certify_chain_correction_extension(
 
 
 def single_step_chain_correction_errors(correction: AnyCorrection, commanded: Floats) -> tuple[float, float]:
-    """Position errors (RMS, greatest) m of a chain's correction in a single step, as its axes have different units,
-    over the places of `chain_workspace_values_and_poses`. commanded : (n, axes)
+    """Errors (RMS, greatest) m of a chain's correction in a single step.
 
+    They are of position, as its axes have different units, over the places of `chain_workspace_values_and_poses`.
+    commanded : (n, axes)
     The single step is X + KSF(X). Source: configuration-space patent, [0030], [0091]
     """
     _, wanted = chain_workspace_values_and_poses(correction, commanded)
@@ -154,7 +161,10 @@ def _covariance(samples: Samples, fitted: Chain, nominal: Chain, scatter: Floats
 
 
 def unfitted_chain(samples: Samples, nominal: Chain) -> Identified:
-    """Identified of a chain as it is, with nothing fitted."""
+    """Unfitted chain (Identified).
+
+    Nothing is fitted, the chain is as it is.
+    """
     count = parameter_jacobian(samples.commanded[:1], nominal).shape[-1]
     every = np.ones(len(samples), bool)
     return Identified(nominal, np.zeros(count), np.zeros((count, count)), (), (), np.zeros(6), every)

@@ -22,7 +22,7 @@ from calib.models.arm.error_model_and_observations import PLAUSIBLE
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask as independent
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import base_motion_columns
 from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.mechanism_geometry_classes import Arm, Chain, Stage
@@ -95,7 +95,7 @@ def _moved(stage: Stage, step: Floats) -> Stage:
 
 
 def stage_parameter_change_by_base_motion(stage: Stage) -> Floats:
-    """Columns (p, 6 or 3): change of a stage's parameters by motion of its base frame."""
+    """Change (p, 6 or 3) of a stage's parameters by motion of its base frame."""
     return np.eye(len(_stage_parameter_names(stage)), 6) if isinstance(stage, Arm) else base_motion_columns(stage)
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.identify.bounded_least_squares_and_robust_fit import Linear
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -134,8 +134,9 @@ def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats
 
 @njit(cache=True)
 def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) -> bool:
-    """Forward kinematics by Newton from pose R (3, 3), t (3,), in place.
+    """Forward kinematics kernel.
 
+    By Newton from pose R (3, 3), t (3,), in place.
     Returns whether it converged.
     """
     length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
@@ -268,16 +269,19 @@ def loop_covariance(loop_jacobian: Floats, covariance: Floats) -> Floats:
 
 
 def add_length_resolution_to_loop_covariance(covariance: Floats) -> Floats:
-    """Covariance (n, axes, axes) m^2 of loops with how finely lengths are known: READING where more loops than six have
-    combinations that no pose moves, which nothing else bounds.
+    """Covariance (n, axes, axes) m^2 of loops with the resolution of lengths added.
+
+    It is how finely lengths are known: READING where more loops than six have combinations that no pose moves, which
+    nothing else bounds.
     """
     axes = covariance.shape[1]
     return covariance + READING**2 * np.eye(axes) if axes > 6 else covariance
 
 
 def scatter_of_redundant_struts(loop_residuals: Floats, strut_jacobian: Floats, fitted_pose_count: int) -> Floats:
-    """Scatter (struts,) m of more than six struts, all alike, by the combinations of loops that no pose moves.
+    """Scatter (struts,) m of redundant struts, more than six.
 
+    It is alike for all, by the combinations of loops that no pose moves.
     loop_residuals : (n, struts) m, what loops leave at a fit; strut_jacobian : (n, struts, 6) the struts' Jacobian;
     fitted_pose_count : how many poses' worth of parameters were fitted
     """

@@ -47,7 +47,10 @@ class Combination:
 def parameter_combinations_and_visibility(
     information_root: Floats, mechanism: Parallel
 ) -> tuple[tuple[Combination, ...], Visibility]:
-    """Parameter combinations, worst determined first, and Visibility, by the information's root (p, p) 1/m."""
+    """Parameter combinations, and Visibility, by the information's root (p, p) 1/m.
+
+    The worst determined comes first.
+    """
     seen: Visibility = parameter_visibility(information_root, np.full(information_root.shape[1], PLAUSIBLE))
     patterns = _patterns(mechanism)
     with np.errstate(divide="ignore"):
@@ -63,7 +66,7 @@ def standard_error_along(information_root: Floats, direction: Floats) -> float:
 
 
 def parameter_changes_by_base_and_platform_frame_motion(mechanism: Hexapod) -> Floats:
-    """Frame motion columns (7 struts, 12).
+    """Parameter changes (7 struts, 12) by motion of the base's and the platform's frame.
 
     The parameters' change with the base frame and the platform frame.
 

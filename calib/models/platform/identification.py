@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.bounded_least_squares_and_robust_fit import MOST, Fit, Linear, fit_least_squares, robust_fit
 from calib.models.platform import closed_loop_equations
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model import mechanisms
@@ -279,7 +279,10 @@ def _scatter(left: Floats, S: Floats, inliers: Booleans, spent: int) -> Floats:
 
 
 def require_followers_of_redundant_platform(mechanism: Parallel) -> None:
-    """Raise RigError for a platform of more than six struts all of which are driven: poses say too little of it."""
+    """Require followers of a platform on more than six struts.
+
+    Raise RigError where all of them are driven: poses say too little of it.
+    """
     if is_redundant(mechanism) and not mechanism.followers:
         raise RigError(
             f"all {len(mechanism.axes)} struts are driven, so that their lengths differ from those commanded by what "

@@ -95,7 +95,10 @@ def choose_configurations_by_exchange(
     criterion: str,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[int]:
-    """Choose `count` candidates of whitened rows (c, m, p) by exchange: those that add most to prior information."""
+    """Choose `count` configurations by exchange.
+
+    They are candidates of whitened rows (c, m, p), those that add most to prior information.
+    """
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning

@@ -1,4 +1,4 @@
-"""Argument parser of the commands, and parsing of option values.
+"""Argument parser of commands, parsing of option values, and shell completion.
 
 With the nearest known word for a mistyped option or command, and completion scripts of shells.
 """
@@ -23,8 +23,8 @@ INVALID = re.compile(r"invalid parse_(\w+) value")  # as argparse names what par
 NEGATIVE = re.compile(r"-\.?\d(?:[^,]*,|[-+.\deE]*[a-zµμ]+$)")  # -2mm, or figures with commas of which the first is < 0
 
 
-def join_negative_numbers(words: Iterable[str]) -> list[str]:
-    """Join options with negative numbers.
+def join_options_with_negative_numbers(words: Iterable[str]) -> list[str]:
+    """Join options with negative numbers that follow them.
 
     `--pose -0.1,0,0` becomes `--pose=-0.1,0,0`, as argparse needs it.
     """
@@ -168,7 +168,7 @@ def parse_tolerance(text: str) -> tuple[str, float]:
 
 
 def parse_length_and_angle(texts: Sequence[str], option: str = "--tolerance") -> tuple[float, float]:
-    """(m, rad) of an option that takes a length and an angle.
+    """Parse a length and an angle of an option, as (m, rad).
 
     50um 0.2mrad, or two figures in m and rad.
 

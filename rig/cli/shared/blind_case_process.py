@@ -53,8 +53,9 @@ def forbid_this_process_to_read_folder(folder: str | Path) -> None:
 
 
 def draw_blind_case(campaign_folder: Path, index: int, settings: Json) -> None:
-    """Draw a blind case and write its recording, its truth and the hash of the truth.
+    """Draw a blind case and write it.
 
+    Its recording, its truth and the hash of the truth.
     The hash comes last: from then on the case is blinded.
     """
     from rig.formats.output_files import CommandOutputs, write_text
@@ -121,9 +122,9 @@ def run_command_without_folder_access(folder: str, command_words: Sequence[str])
 
 
 def main(command_words: Sequence[str]) -> int:
-    """Draw a blind case, or run a command without access to its truth, by command words.
+    """Run a blind case process by its command words.
 
-    See the module.
+    It draws a blind case, or runs a command without access to its truth; see the module.
 
     Returns the exit status
     """

@@ -1,4 +1,4 @@
-"""Display of what commands print.
+"""Escaped output of commands, progress, a table of errors, and refutations.
 
 Escaped text, progress, held-out errors as a table, and refutations, which are written too.
 """
@@ -61,8 +61,9 @@ def escape_control_characters_in_output() -> Iterator[None]:
 
 
 def unescaped_stream(stream: TextIO) -> TextIO:
-    """Unescaped stream beneath an Escaped one, for displays that move the cursor.
+    """Unescaped stream beneath an Escaped one.
 
+    For displays that move the cursor.
     Any other stream itself.
     """
     beneath: TextIO = getattr(stream, "controls", stream)
@@ -171,9 +172,10 @@ class Progress:
 
 
 def print_compilation_notice() -> None:
-    """Print a notice that code is being compiled, which takes up to a minute after installation.
+    """Print a notice that code is being compiled.
 
-    On a terminal, or where lines are asked for; in a pipe the first line on the error output stays the command's own
+    That takes up to a minute after installation. It is printed on a terminal, or where lines are asked for; in a pipe
+    the first line on the error output stays the command's own
     """
     if Progress.shown == "lines" or Progress.shown == "auto" and sys.stderr.isatty():
         from tqdm import tqdm

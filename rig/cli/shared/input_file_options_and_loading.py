@@ -1,4 +1,4 @@
-"""Options that name input files, and their reading."""
+"""Options that name input files, and the loading of these."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
 
 
 def add_continue_despite_mistakes_option(parser: ArgumentParser) -> None:
-    """Add the option --anyway, which continues in spite of mistakes in the recording."""
+    """Add the option --anyway, to continue despite mistakes in the recording."""
     parser.add_argument(
         "--anyway",
         action="store_true",
@@ -92,7 +92,10 @@ def read_recordings(arguments: Namespace) -> list[Recording]:
 
 
 def notice_printing_function(progress: Progress) -> Callable[[str], None]:
-    """Function that prints a notice line of a computation, the progress bar removed first."""
+    """Function that prints a notice of a computation.
+
+    The progress bar is removed first.
+    """
 
     def notice(line: str) -> None:
         progress.close()
@@ -102,7 +105,7 @@ def notice_printing_function(progress: Progress) -> Callable[[str], None]:
 
 
 def add_deprecated_option_name(parser: ArgumentParser, name: str, dest: str, read: Callable[[str], object]) -> None:
-    """Add the former name of an option, hidden from the help, with the same destination.
+    """Add a deprecated name of an option, hidden from the help, with the same destination.
 
     dest : of the option; read : parses its value
     """
@@ -132,8 +135,9 @@ def add_limb_options(parser: ArgumentParser) -> None:
 
 
 def limb_source(arguments: Namespace) -> LimbSource | None:
-    """Source of limb readings (--limbs) that replaces vision, None where the arguments name none.
+    """Source of limb readings (LimbSource) that the arguments name, None where they name none.
 
+    It replaces vision (--limbs).
     Raises RigError.
     """
     if arguments.check is not None and (arguments.limbs is None or arguments.check < 1):

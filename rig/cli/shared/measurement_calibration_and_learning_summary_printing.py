@@ -1,4 +1,4 @@
-"""Printed summaries of a measurement and of a calibration."""
+"""Printed summaries of a measurement, of a calibration and of on-line learning."""
 
 import numpy as np
 
@@ -21,13 +21,16 @@ from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
 from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from vision.api import MeasurementResult, camera_offset_lines
+from vision.api import MeasurementResult, camera_time_offset_lines
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
 from vision.bundle.marker_displacements import Places
 
 
 def print_measurement(result: MeasurementResult) -> None:
-    """Print the summary of a measurement, the verdict first."""
+    """Print the summary of a measurement.
+
+    The verdict comes first.
+    """
     print(result.verdict.line)
     _print_figures(result)
     print_frames_without_pose(result.measurement)
@@ -43,17 +46,14 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.places:
         _print_places(result.places)
     _print_cameras(result)
-    for line in (*result.clocks, *camera_offset_lines(result.measurement)):
+    for line in (*result.clocks, *camera_time_offset_lines(result.measurement)):
         print(line)
     if result.determination is not None:
         print(result.determination.summary())
 
 
 def print_limb_pose_uncertainty_and_vision_agreement(poses_from_limbs: MeasuredLimbPoses) -> None:
-    """Print the uncertainty of poses from measuring limbs.
-
-    The standard uncertainty of platform poses, and their agreement with vision.
-    """
+    """Print the uncertainty of poses from measuring limbs, and their agreement with vision."""
     position, rotation = rms_uncertainty(poses_from_limbs.poses.covariance)
     print(
         f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of "

@@ -1,4 +1,4 @@
-"""Options that several commands share.
+"""Options of output, controller, hand and workers that several commands share.
 
 Outputs, controller, hand, workers with their pool; what they need of matplotlib, results printed as JSON, and results
 of workers as they come.
@@ -177,10 +177,7 @@ def print_json(tree: object) -> None:
 
 
 def add_rig_toml_port_and_trace_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of commands that talk to the controller.
-
-    RIG.toml, --port, --trace.
-    """
+    """Add the arguments RIG.toml, --port and --trace of commands that talk to the controller."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     add_port_and_trace_options(parser)
 
@@ -194,7 +191,10 @@ def add_port_and_trace_options(parser: ArgumentParser) -> None:
 
 
 def add_speed_option(parser: ArgumentParser, usual: float) -> None:
-    """Add the option --speed, a share of the struts' greatest speed."""
+    """Add the option --speed.
+
+    A share of the struts' greatest speed.
+    """
     parser.add_argument(
         "--speed",
         type=parse_number,
@@ -205,9 +205,9 @@ def add_speed_option(parser: ArgumentParser, usual: float) -> None:
 
 
 def add_trust_option(parser: ArgumentParser) -> None:
-    """Add the option --trust.
+    """Add the option --trust, to trust the position that the controller reports.
 
-    Trust the position that the controller reports, though it was not homed.
+    Though it was not homed.
     """
     parser.add_argument(
         "--trust", action="store_true", help="trust the position that the controller reports, though it was not homed"
@@ -225,7 +225,7 @@ def require_matplotlib(drawings: str) -> None:
 
 
 def missing_matplotlib_reason() -> str | None:
-    """Reason to print where matplotlib is missing.
+    """Reason that drawings lack matplotlib, to be printed where it is missing.
 
     None where it is installed.
     """

@@ -21,8 +21,11 @@ from rig.model.design import Design
 from rig.model.pose import pose_to_vector
 
 
-def print_status(status: ControllerStatus, design: Design) -> None:
-    """Print a Status, with the pose that its lengths give by the nominal model."""
+def print_controller_status(status: ControllerStatus, design: Design) -> None:
+    """Print a ControllerStatus.
+
+    With the pose that its lengths give by the nominal model.
+    """
     from rig.driving.axis_display_units_and_controller_counts import axes_word, values_text
     from rig.driving.controller_status_and_limits import operator_advice
     from rig.errors import NotConverged
@@ -158,7 +161,7 @@ def _minutes_and_seconds(seconds: float) -> str:
 
 
 def block_or_plain_line_terminal_display(asked: bool = False) -> PlainLineDisplay | TerminalBlockDisplay:
-    """Display for the terminal.
+    """Display of a run in the terminal: a block redrawn in place, or plain lines.
 
     A block redrawn in place, or plain lines where standard output is a pipe, and where an operator types between them:
     asked.
@@ -167,7 +170,10 @@ def block_or_plain_line_terminal_display(asked: bool = False) -> PlainLineDispla
 
 
 def terminal_can_answer() -> bool:
-    """Whether somebody at a terminal can answer: a process in the background that reads from it is suspended."""
+    """Whether somebody at a terminal can answer.
+
+    A process in the background that reads from it is suspended.
+    """
     if sys.stdin is None or not sys.stdin.isatty():
         return False
     return not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
@@ -195,7 +201,7 @@ def _take_answers(observer: RunObserver, alone: bool) -> None:
 def open_terminal_and_page_run_displays(
     port: int | None, asked: bool, observer: RunObserver
 ) -> Iterator[list[RunDisplay]]:
-    """Displays of a run (context manager).
+    """Displays of a run, in the terminal and on a page (context manager).
 
     Terminal, and the page where a port is given, served while the context lasts. asked : whether an operator at them
     is asked

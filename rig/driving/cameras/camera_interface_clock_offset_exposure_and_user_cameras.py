@@ -1,4 +1,4 @@
-"""Camera interface, and cameras of the user's own.
+"""Camera interface, clock offset, exposure, and cameras of the user's own.
 
 The offset of a camera's clock, and exposure for markers.
 
@@ -223,8 +223,9 @@ RANGE = (1e-5, 1.0)  # s
 def set_exposure_for_markers(
     source: Source, measure_white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
 ) -> tuple[float, float]:
-    """Set a camera's exposure such that markers do not clip.
+    """Set a camera's exposure for markers.
 
+    Such that they do not clip.
     measure_white_level : (image) -> (level of the markers' white, of 255; share of their pixels that clip);
     start_exposure : s
     Returns (exposure in s, white level of 255)
@@ -375,7 +376,7 @@ def _stamped(given: tuple[Pixels, float, float]) -> tuple[Pixels, float, float]:
 
 
 def require_image_size_and_type(image: object, camera: Camera) -> Pixels:
-    """Checked image of a user's program.
+    """Require that an image of a user's program has the camera's size and a known type, and return it.
 
     Raises CameraError for another size or type.
     """

@@ -1,5 +1,6 @@
-"""Opening of a camera by its source in rig.toml.
+"""Opening of a camera, and its sources of a folder and of the emulator.
 
+By its source in rig.toml.
 Also the sources of a folder of images and of the emulator.
 
 A request is one line, `expose CAMERA SECONDS`. The answer is one line of JSON, {"width", "height", "bits", "age"} or
@@ -211,7 +212,9 @@ KINDS = {
 
 
 def open_camera(camera: Camera, clock: Clock) -> Source:
-    """Open the camera whose source is stated in its [[camera]] table.
+    """Open a camera.
+
+    By the source that its [[camera]] table states.
     Raises CameraError where it states none, and what opening it raises.
     """
     if camera.source is None:

@@ -1,5 +1,6 @@
-"""GenICam cameras found and opened through harvesters: its interface as far as it is used, and the one Harvester of a
-process.
+"""GenICam camera discovery, and the interface of a harvester.
+
+As far as it is used, with the one Harvester of a process.
 """
 
 import os
@@ -174,7 +175,10 @@ def _opened(harvester: Discovery, name: str, serial: str) -> Acquirer:
 
 
 def error_text(error: Exception) -> str:
-    """What an error of genicam states, of which some state nothing but their kind."""
+    """Text of an error of GenICam.
+
+    Its kind where it states nothing else.
+    """
     return str(error) or type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""OpenCV camera (UVC or GStreamer).
+"""OpenCV cameras: UVC, GStreamer and network.
 
 Fresh frames with driver timestamps; check of GStreamer pipelines.
 """
@@ -246,8 +246,9 @@ def _result_within(seconds: float, call: Callable[[], T]) -> T | None:
 
 
 def open_gstreamer_camera(name: str, pipeline: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
-    """Open a GStreamer pipeline that ends in appsink.
+    """Open a camera by its GStreamer pipeline.
 
+    It ends in appsink.
     size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that
     may write (see gstreamer_pipeline_problem).
     """

@@ -1,5 +1,6 @@
-"""TCP side of an emulated Newport controller: function calls of several callers, each answered in its own connection.
+"""TCP server of function calls of an emulated Newport controller.
 
+It has several callers, each answered in its own connection.
 A caller's next call waits until the one before is answered, as at the controller itself.
 """
 

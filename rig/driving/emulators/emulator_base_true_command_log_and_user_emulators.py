@@ -1,4 +1,4 @@
-"""Base of controller emulators, and of a user's own line emulator.
+"""Base of controller emulators with their log of true commands, and of user's emulators.
 
 Bytes received, answers and their delays; log of the true commands.
 

@@ -1,4 +1,4 @@
-"""Opening of a controller emulator, and its ports.
+"""Opening of a controller emulator, and serving it over a terminal or TCP.
 
 From the rig's design; it answers at a terminal or over TCP.
 """
@@ -86,8 +86,9 @@ def emulator_of_rig_toml_controller(path: Path, options: EmulatorOptions, clock:
 def emulator_of_design(
     design: Design, faults: Faults, clock: Clock, start_lengths: Floats | None = None, speed_factor: float = 1.0
 ) -> Emulator:
-    """The Emulator of the controller of a rig's design, with faults, clock and start values.
+    """The Emulator of a design's controller.
 
+    With faults, clock and start values.
     start_lengths : (n,) m or rad, at first, by default those after homing; speed_factor : factor on the axes' speed
     Raises RigError for a start that the axes cannot have, and for a rig without a controller
     """
@@ -151,8 +152,9 @@ def emulator_of_design(
 
 
 def home_lengths(mechanism: Commanded) -> Floats:
-    """Home lengths or joint values (n,) m or rad, where [controller] home states none.
+    """Home lengths or joint values (n,) m or rad of a mechanism.
 
+    They hold where [controller] home states none.
     Those of the home pose; of what does not lie within an axis's range the middle of it.
     """
     module = mechanisms.kinematics_of(mechanism)
@@ -260,8 +262,8 @@ class Terminal:
             self._link.unlink(missing_ok=True)
 
 
-def tcp_wire(emulator: Emulator, address: tuple[str, int]) -> Wire:
-    """The wire on which an emulator is served over TCP. Raises RigError where it cannot listen at (host, port)."""
+def tcp_server_for_emulator(emulator: Emulator, address: tuple[str, int]) -> Wire:
+    """TCP server (Wire) for an emulator. Raises RigError where it cannot listen at (host, port)."""
     if isinstance(emulator, UniversalRobot):
         return RealTimeServer(emulator, address)
     return FunctionServer(address) if isinstance(emulator, NewportHexapod) else ByteServer(address)
@@ -274,7 +276,9 @@ def serve_emulator(
     print_line: Callable[[str], None],
     after_motion: Callable[[], None],
 ) -> None:
-    """Serve an emulator on a wire (pseudo-terminal or TCP) while is_running() is true.
+    """Serve an emulator on a wire while it is running.
+
+    The wire is a pseudo-terminal or TCP; is_running() says whether it goes on.
 
     print_line : takes a line whenever the wire has a name to open; after_motion : called after whatever may have moved
         the axes

@@ -1,5 +1,6 @@
-"""Emulators of PI GCS controllers, of single axes and of hexapods.
+"""Emulators of PI GCS controllers.
 
+Of single axes and of hexapods.
 General Command Set (GCS) 2.0, closed-loop axes in mm.
 
 C-887: GCS with poses, X Y Z in mm and U V W in degrees, by a geometry of its own.

@@ -21,7 +21,7 @@ from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp imp
     emulator_of_design,
     home_lengths,
 )
-from rig.driving.request_and_answer_exchange_with_controller import shown_bytes
+from rig.driving.request_and_answer_exchange_with_controller import bytes_as_text
 from rig.errors import ControllerFault, MotionError, RigError
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, require_axes
@@ -138,7 +138,7 @@ def _progress_of_last_move(emulator: Emulator, clock: TrialClock) -> str:
     travel, left = (np.abs(last.target - machine.axes.at(t)).max() for t in (last.t, now))
     seconds = (np.abs(last.target - machine.axes.at(last.t)) / machine.axes.speed).max()
     return (
-        f": the last move, {shown_bytes([clock.move_sent])}, is to take {seconds:.2f} s at full speed; "
+        f": the last move, {bytes_as_text([clock.move_sent])}, is to take {seconds:.2f} s at full speed; "
         f"{now - last.t:.1f} s after its begin {1e3 * (travel - left):.3f} of {1e3 * travel:.3f} mm are done"
     )
 
@@ -146,7 +146,9 @@ def _progress_of_last_move(emulator: Emulator, clock: TrialClock) -> str:
 def run_moves_with_faults_and_count_outcomes(
     design: Design, protocol: str, fault_texts: Sequence[str], moves: int, seed: int, **controller: object
 ) -> MoveCounts:
-    """MoveCounts of moves with faults, to places that are all different.
+    """Run moves with faults and count their outcomes (MoveCounts).
+
+    They go to places that are all different.
 
     Where a move was stopped, an operator homes, unlocks and switches off and on.
     Raises ControllerFault for a controller that cannot be brought home again.
@@ -181,7 +183,10 @@ def run_moves_with_faults_and_count_outcomes(
 
 
 def arrival_tolerance_of_axes(design: Design) -> float:
-    """m or rad within which a design's axes have arrived: of machines with both, rad."""
+    """Tolerance, m or rad, within which a design's axes count as arrived.
+
+    Of machines with both, rad.
+    """
     return max(ARRIVED[unit] for unit in axis_units(design.mechanism))
 
 
@@ -194,7 +199,7 @@ def move_execution_count(emulator: Emulator, skipped_moves: int, target: Floats)
 
 
 def home_with_fault_recovery(driver: Driver, emulator: Emulator) -> None:
-    """Bring a rig home again, as an operator does.
+    """Home a rig, recovering from faults as an operator does.
 
     Home; where that fails, clear the alarm; at last switch off and on.
     Raises ControllerFault where nothing helps.

@@ -1,5 +1,6 @@
-"""Emulated Newport HXP controller: poses by a geometry of its own, calls as the lines of
-rig.driving.newport_function_call_tcp_port.
+"""Emulated Newport HXP controller.
+
+It takes poses by a geometry of its own, and calls as the lines of rig.driving.newport_function_call_tcp_port.
 
 A move and a homing are answered at their end, and a move that was stopped by an error.
 """

@@ -15,7 +15,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.axis_display_units_and_controller_counts import greatest_distance_text
 from rig.driving.axis_driver import Driver
-from rig.driving.controller_status_and_limits import unit_hint
+from rig.driving.controller_status_and_limits import hint_at_lengths_wrong_by_factor_of_thousand
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import ALWAYS, KINDS
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
@@ -29,7 +29,7 @@ from rig.driving.emulators.move_trials_through_emulator_with_faults import (
 )
 from rig.driving.move_profiles_and_path_check import straight_move_segment
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import State
-from rig.driving.request_and_answer_exchange_with_controller import shown_bytes
+from rig.driving.request_and_answer_exchange_with_controller import bytes_as_text
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stopped
 from rig.formats.json_toml_and_yaml_loading import toml_entries
@@ -62,7 +62,9 @@ class ConformanceCheck:
 
 
 def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int = 1) -> Iterator[ConformanceCheck]:
-    """Each ConformanceCheck of a protocol, as it is done; only the first where that fails.
+    """Checks (ConformanceCheck) of a protocol's conformance, each as it is done.
+
+    Only the first where that fails.
 
     design : a rig of struts with a controller; protocol : as rig.toml states it; moves : with all faults at 5 %
     Raises FileError or RigError for a program of the user's own that cannot be used
@@ -91,7 +93,7 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
 
 
 def conformance_design(path: Path | None, protocol: str | None = None) -> Design:
-    """Design on which a protocol's conformance is tested.
+    """Design on which the conformance of a protocol is checked.
 
     Of a rig.toml, or a hexapod; of protocol "urscript" an arm of six joints.
     Raises RigError for one without axes or controller, and FileError.
@@ -141,7 +143,7 @@ def _moves(design: Design, protocol: str, seed: int) -> str:
         took = emulator.machine.axes.until - emulator.machine.executed[-1].t
         _require(
             FASTEST * duration <= took <= SLOWEST * duration + RAMPS,
-            f"the last move, {shown_bytes([clock.move_sent])}, took {took:.2f} s, and {duration:.2f} s were expected "
+            f"the last move, {bytes_as_text([clock.move_sent])}, took {took:.2f} s, and {duration:.2f} s were expected "
             "(segment.duration): are its speed or duration in the controller's units?",
         )
     return f"{name}: {len(emulator.machine.executed)} moves"
@@ -155,7 +157,7 @@ def _require_true_lengths(driver: Driver, emulator: Emulator) -> None:
     _require(
         agrees or emulator.busy or not emulator.machine.homed,
         f"`state` gives {read.round(9).tolist()} m, and the axes stand at {true.round(9).tolist()} m"
-        f"{unit_hint(read, true)}",
+        f"{hint_at_lengths_wrong_by_factor_of_thousand(read, true)}",
     )
 
 

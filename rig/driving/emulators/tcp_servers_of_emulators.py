@@ -1,4 +1,7 @@
-"""TCP servers of emulators: the base, which takes and drops callers, and one of plain bytes."""
+"""TCP servers of emulators.
+
+The base, which takes and drops callers, and one of plain bytes.
+"""
 
 import select
 import socket

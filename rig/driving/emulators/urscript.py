@@ -1,5 +1,6 @@
-"""Emulated controller of Universal Robots: movej and stopj as scripts, state on request, in packets over TCP.
+"""Emulated Universal Robots controller, driven by URScript.
 
+movej and stopj as scripts, state on request, in packets over TCP.
 A movej that states its blend radius r is taken for a homing, as the protocol sends it.
 """
 

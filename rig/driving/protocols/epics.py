@@ -1,6 +1,7 @@
-"""EPICS motor records by Channel Access (rig.driving.serial_and_epics_ports_and_checksummed_frames): one for each
-strut, or for each of a
-hexapod's X, Y, Z, U, V, W.
+"""Protocol of EPICS motor records.
+
+By Channel Access (rig.driving.serial_and_epics_ports_and_checksummed_frames): one record for each strut, or for each
+of a hexapod's X, Y, Z, U, V, W.
 
 A move sets VELO and ACCL so that all motors start and arrive together, then VAL. What the records read back says
 whether it is done: RBV, DMOV and MSTA. Poses stand for lengths

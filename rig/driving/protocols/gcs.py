@@ -1,5 +1,6 @@
-"""PI GCS protocol, for single axes and for hexapods.
+"""PI GCS protocol.
 
+For single axes and for hexapods.
 Struts are closed-loop axes, errors are read by `ERR?`.
 
 Answers carry no number. After a silence the line is brought in step by `*IDN?`, whose answer cannot be taken for

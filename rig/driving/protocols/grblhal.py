@@ -1,5 +1,6 @@
-"""Protocol grblHAL and Grbl 1.1: axes in mm, joints in degrees, by G-code lines and real-time bytes.
+"""Protocol of grblHAL and Grbl 1.1 controllers.
 
+Axes are in mm, joints in degrees, by G-code lines and real-time bytes.
 Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. The feed
 word holds what is known of the position: F0 since a start, F1 once greeted after one, more once homed, confirmed or
 moved. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c, gcode.c and system.c.

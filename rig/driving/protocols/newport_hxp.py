@@ -1,5 +1,6 @@
-"""Newport HXP protocol: a hexapod's own controller that takes poses, X Y Z in mm and U V W in degrees.
+"""Protocol of Newport HXP hexapod controllers.
 
+It takes poses, X Y Z in mm and U V W in degrees.
 Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers); they are those of its Tool coordinate
 system in its Work coordinate system. Calls and answers are lines of rig.driving.newport_function_call_tcp_port. A
 move and a homing are

@@ -167,7 +167,7 @@ def dialogue_awaiting_rest_after_stop(query_state: Callable[[], Dialogue[State]]
 
 
 def is_never_complete(lines: Sequence[str]) -> bool:
-    """Whether answer lines are complete, which they never are.
+    """Completeness test of answer lines that is never met.
 
     Never, so that the whole timeout is awaited.
     """

@@ -1,5 +1,6 @@
-"""Protocol URScript: joint positions of arms of Universal Robots, by scripts over the real-time interface.
+"""Protocol URScript of Universal Robots' arms.
 
+Joint positions are sent by scripts over the real-time interface.
 Moves are movej, straight in joint space: all joints begin and arrive together. A robot answers no script; what became
 of one is read back. Its encoders are absolute, so nothing is homed: with homing = true, `rig home` moves to the home
 posture. A protective stop is ended at the teach pendant alone.

@@ -105,8 +105,9 @@ class BaseLean(Effect):
 
 
 def lean_under_link_weight(motion: Motion) -> BaseLean | None:
-    """Lean of an arm's base under the weight of its links, as a fit begins.
+    """Lean (BaseLean) of an arm's base under the weight of its links.
 
+    As a fit begins.
     None where nothing shows it.
 
     Its terms are those that the recording's postures and payloads separate: the links' moments stand for all that the

@@ -1,4 +1,7 @@
-"""Compliance: axes yield elastically under load, in static equilibrium."""
+"""Compliance: axes yield elastically under load.
+
+In static equilibrium.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -10,7 +10,7 @@ from rig.array_and_json_types import Floats
 from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
     WeightedSum,
     lagged_lengths,
-    member_weights_parameter,
+    parameter_of_weighted_sum_member_weights,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
@@ -34,7 +34,7 @@ class Creep(WeightedSum):
     parameters: ClassVar = (
         Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)),
         Parameter("time_constant", "s", (0.05, 1e4), (1, 1000), role="log"),
-        member_weights_parameter(0, 1),
+        parameter_of_weighted_sum_member_weights(0, 1),
     )
     whole: ClassVar = "fraction"
     scale: ClassVar = "time_constant"

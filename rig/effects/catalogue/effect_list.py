@@ -128,7 +128,10 @@ def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
 
 
 def effect_of_tolerance(tolerance: Tolerance | tuple[float, float]) -> type[Effect]:
-    """Effect of the catalogue that corresponds to a manufacturing tolerance that is exceeded."""
+    """Effect of the catalogue that corresponds to a manufacturing tolerance.
+
+    The tolerance is exceeded.
+    """
     return next(kind for kind in ALL if kind.tolerance == tolerance)
 
 
@@ -137,8 +140,8 @@ SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
 NARROWEST = 100  # characters, below which columns are no longer read
 
 
-def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effect:
-    """The effect by which a joint gives way to the weight of its links.
+def compliance_under_link_weight(place: str, moments: tuple[float, ...]) -> Effect:
+    """Compliance (effect) of a joint under the weight of its links.
 
     Mass and mass moments over its stiffness.
     """
@@ -148,7 +151,7 @@ def deflection_under_link_weight(place: str, moments: tuple[float, ...]) -> Effe
 def mass_and_moments_over_stiffness(effect: Effect) -> tuple[float, ...]:
     """Mass and mass moments over stiffness of an effect.
 
-    Of a `deflection_under_link_weight`; none of any other effect.
+    Of a `compliance_under_link_weight`; none of any other effect.
     """
     return effect.moments if isinstance(effect, Compliance) else ()
 
@@ -290,8 +293,9 @@ as seen, near ones (large) and farther ones, a stroke at each marker's first cor
 
 
 def catalogue_markdown(effects: Iterable[type[Effect]] = ALL, sketches: Mapping[str, str] | None = None) -> str:
-    """The catalogue in Markdown, stage by stage.
+    """The catalogue of effects in Markdown.
 
+    Stage by stage.
     sketches : {name: Markdown of its sketch}
     """
     found, drawn = list(effects), sketches or {}

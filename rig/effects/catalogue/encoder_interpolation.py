@@ -93,13 +93,17 @@ class EncoderInterpolation(Effect):
 
 
 def fewest_encoder_periods_distinct_from_screw_error(motion: Motion) -> float:
-    """Fewest periods per metre of an encoder; with fewer it would be the screw's cyclic error."""
+    """Fewest periods per metre by which an encoder's error is distinct from the screw's.
+
+    With fewer it would be the screw's cyclic error.
+    """
     return max(FEWEST, OF_SCREW / (motion.actuator.screw_lead or np.inf))
 
 
 def are_periods_aliased(lengths: Floats, periods: Floats) -> Booleans:
-    """Whether periods (k,) 1/m are aliased to a slow function by evenly spaced lengths (n,) m.
+    """Whether periods (k,) 1/m are aliased by evenly spaced lengths (n,) m.
 
+    Such periods look like a slow function.
     Steps that are whole multiples of a pitch show nothing of what is within it.
     """
     window = np.abs(np.exp(2j * np.pi * periods[:, None] * lengths).mean(axis=1))

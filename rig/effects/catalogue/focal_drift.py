@@ -1,4 +1,7 @@
-"""Focal drift: the focal length follows the temperature."""
+"""Focal drift of a camera.
+
+The focal length follows the temperature.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

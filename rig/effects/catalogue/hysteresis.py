@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
     WeightedSum,
-    member_weights_parameter,
+    parameter_of_weighted_sum_member_weights,
 )
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.effects.framework.parameters_covariates_and_marker_table import (
@@ -43,7 +43,7 @@ class Hysteresis(WeightedSum):
     parameters: ClassVar = (
         Parameter("range", "m", (1e-5, 0.1), (1e-3, 2e-2), role="log", joint=((1e-5, 10), (1e-3, 1.0))),
         Parameter("weight", "", (0, 1), (1e-3, 0.1)),
-        member_weights_parameter(0, 1),
+        parameter_of_weighted_sum_member_weights(0, 1),
     )
     whole: ClassVar = "weight"
     scale: ClassVar = "range"

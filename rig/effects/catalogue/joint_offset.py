@@ -1,4 +1,4 @@
-"""Joint offset between the two axes of a cardan joint.
+"""Joint offset of a cardan joint, between its two axes.
 
 They do not meet: the strut's end moves as the joint turns; this is no zero offset.
 """

@@ -1,4 +1,7 @@
-"""Link bending: a link of an arm, or the free length of its slide, bends and twists under the load at its far end."""
+"""Link bending of an arm.
+
+A link, or the free length of its slide, bends and twists under the load at its far end.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

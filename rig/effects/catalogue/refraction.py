@@ -1,4 +1,7 @@
-"""Refraction by a plane-parallel window before a camera."""
+"""Refraction before a camera.
+
+By a plane-parallel window.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import product

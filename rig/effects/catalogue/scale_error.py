@@ -1,4 +1,7 @@
-"""Scale error of an axis: a share of the stroke from home."""
+"""Scale error of an axis.
+
+A share of the stroke from home.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar

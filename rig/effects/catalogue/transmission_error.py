@@ -124,9 +124,9 @@ class TransmissionError(Effect):
 
 
 def cubic_spline_values(q: Floats, span: tuple[float, ...] | Floats, values: Floats) -> Floats:
-    """Values (n, ...) of cubic splines at q (n,).
+    """Values (n, ...) at q (n,) of cubic splines through values at even knots.
 
-    Natural splines through values (knots, ...) at even knots over a span.
+    The splines are natural, through values (knots, ...) at even knots over a span.
     """
     low, high = span
     last = len(values) - 1
@@ -141,8 +141,9 @@ def cubic_spline_values(q: Floats, span: tuple[float, ...] | Floats, values: Flo
 
 @cache
 def natural_spline_curvature_matrix(knots: int) -> Floats:
-    """Matrix (knots, knots) that makes second derivatives, at the knots of a natural cubic spline one apart, of its
-    values there.
+    """Matrix (knots, knots) that gives a natural cubic spline's second derivatives at its knots.
+
+    It multiplies the values there; knots are one apart.
     """
     at = np.arange(knots)
     curvatures: Floats = scipy.interpolate.CubicSpline(at, np.eye(knots), bc_type="natural")(at, 2)

@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
     WeightedSum,
-    member_weights_parameter,
+    parameter_of_weighted_sum_member_weights,
 )
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Covariate, Parameter, time_covariate
@@ -35,7 +35,7 @@ class WarmUp(WeightedSum):
     parameters: ClassVar = (
         Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4), joint=((-0.2, 0.2), (1e-5, 1e-3))),
         Parameter("time_constant", "s", (60, 1e5), (600, 7200), role="log"),
-        member_weights_parameter(-5, 6),
+        parameter_of_weighted_sum_member_weights(-5, 6),
     )
     whole: ClassVar = "amplitude"
     scale: ClassVar = "time_constant"

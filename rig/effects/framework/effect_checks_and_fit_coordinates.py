@@ -11,7 +11,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
-from rig.formats.checked_entries import NAME
+from rig.formats.checked_toml_and_json_entries import NAME
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.arm_hands_effect_places_and_tolerances import AXES, NUMBER, Place
 
@@ -147,8 +147,9 @@ def fit_coordinates_of_effects(effects: tuple[Effect, ...]) -> list[Coordinate]:
 def effects_with_coordinates(
     effects: tuple[Effect, ...], coordinates: list[Coordinate], values: Floats
 ) -> tuple[Effect, ...] | None:
-    """The effects with their coordinates at values (c,), in their written form.
+    """The effects with their coordinates at values (c,).
 
+    They are in their written form.
     None where one cannot be so.
     """
     out = list(effects)
@@ -161,7 +162,10 @@ def effects_with_coordinates(
 
 
 def conserved_coordinate_sums(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> Floats:
-    """Rows (k, c) of sums of fit coordinates that a fit must leave unchanged, as the effects state them."""
+    """Sums of fit coordinates that a fit must conserve, rows (k, c).
+
+    As the effects state them.
+    """
     rows = [
         [row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates]
         for number, effect in enumerate(effects)
@@ -184,7 +188,10 @@ def _step(p: Parameter) -> float:
 
 
 def inverse_prior_standard_deviation(parameter: Parameter, index: int | None) -> float:
-    """1 / standard deviation of a parameter's prior, 0 for a scalar or a direction."""
+    """1 / standard deviation of a parameter's prior.
+
+    0 for a scalar or a direction.
+    """
     if index is None or parameter.role == "direction":
         return 0.0
     return 1 / ((SWALLOWED if parameter.name in ("terms", "warp") else LOOSE) * parameter.usual[1])

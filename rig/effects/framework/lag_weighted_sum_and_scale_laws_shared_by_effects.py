@@ -32,8 +32,9 @@ def lagged_lengths(path: Path, time_constant: float) -> Floats:
 
 
 def lagged_path(path: Path, time_constant: float, lagging_axes: Booleans) -> Path:
-    """Path of which some axes lag by a time constant (s), with knots where a change of the command's speed still shows.
+    """Path of which some axes lag by a time constant (s).
 
+    It has knots where a change of the command's speed still shows.
     Of a path that lags already the command's turns count, not the knots that its lag has bent.
     lagging_axes : (axes,) whether an axis lags
     """
@@ -47,7 +48,10 @@ RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones
 
 
 def independent_load_column_indices(load_table: Floats) -> Floats:
-    """Independent columns (indices) of a joint's load table (n, c), of those that vary with the posture."""
+    """Indices of the independent columns of a joint's load table (n, c).
+
+    Of those that vary with the posture.
+    """
     if not load_table.shape[1]:
         return np.zeros(0, int)
     _, r, order = qr((load_table - load_table.mean(axis=0)) / np.sqrt(len(load_table)), mode="economic", pivoting=True)
@@ -159,8 +163,8 @@ class WeightedSum(Effect):
         return effect.axes(motion.places)[:, None] * np.stack(members, axis=-1)
 
 
-def member_weights_parameter(low: float, high: float) -> Parameter:
-    """The Parameter `shares` of a WeightedSum: the weight of each of its members, within low and high."""
+def parameter_of_weighted_sum_member_weights(low: float, high: float) -> Parameter:
+    """Parameter of the weights of a WeightedSum's members, each from low to high."""
     return Parameter("shares", "", (low, high), (0.1, 0.5), 0, role="form")
 
 

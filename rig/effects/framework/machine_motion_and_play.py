@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.base_and_link_tilt_sensors import gravity_at_exposures
@@ -370,7 +370,7 @@ def _walk(lengths: Floats, half: float) -> Floats:
 
 
 def first_order_lag(t: Floats, x: Floats, time_constant: float) -> Floats:
-    """First-order lag (m, axes) of x (m, axes), linear between knots t (m,); it starts at rest, y = x."""
+    """First-order lag (m, axes) of x (m, axes), linear between knots t (m,), from rest, y = x."""
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
 
 

@@ -20,7 +20,10 @@ from rig.recording.recording_folder import Sensors
 
 
 def replace_axis_placeholder_in_text(text: str) -> str:
-    """Text with its placeholder {axis} filled by the word axis, for axes of any kind."""
+    """Text with its placeholder {axis} replaced by the word axis.
+
+    For axes of any kind.
+    """
     return text.replace("{axis}s", "axes").format(axis="axis")
 
 
@@ -118,8 +121,9 @@ EDGE = 4  # frames at either end that a moment leaves
 
 
 def parameter_grid(parameter: Parameter, t: Floats) -> list[float]:
-    """Grid of values of a parameter to be tried, by its role and usual size.
+    """Grid of values of a parameter to try.
 
+    By its role and usual size.
     t : (n,) s, the exposures
     """
     low, high = parameter.usual
@@ -136,7 +140,7 @@ Node = dict[str, Any]  # {parameter: value} of the nonlinear ones: a number each
 
 
 def grid_nodes_of_both_signs(parameters: Sequence[Parameter], name: str) -> list[Node]:
-    """Nodes {parameter: value} of usual sizes of either sign of the parameter of a name."""
+    """Grid nodes {parameter: value} with both signs of a parameter's usual sizes."""
     usual = next(p.usual for p in parameters if p.name == name)
     return [{name: sign * size} for sign in (-1, 1) for size in _sizes(*usual)]
 
@@ -298,7 +302,10 @@ class Linear(NamedTuple):
 def parameter_values(
     linear: Sequence[Linear], node: Node, coefficients: Floats, parameters: Sequence[Parameter]
 ) -> dict[str, object]:
-    """Values {parameter: value} of an effect, from a grid node and coefficients (q,) of its linear columns."""
+    """Values {parameter: value} of an effect's parameters from a fit.
+
+    From a grid node and coefficients (q,) of its linear columns.
+    """
     values, by = dict(node), {p.name: p for p in parameters}
     vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in linear if index is not None}
     for (name, index, _), c in zip(linear, coefficients):

@@ -305,8 +305,8 @@ def _words(over: str) -> str:
     return over.replace("_", " ")
 
 
-def covariate_words(effect: Effect) -> str:
-    """Words for what a curve, as an effect, is over."""
+def words_for_covariate_of_curve_effect(effect: Effect) -> str:
+    """Words for the covariate of a curve as an effect."""
     return _words(effect.name.removeprefix(PREFIX))
 
 

@@ -1,4 +1,7 @@
-"""Sketches of effects of an arm's links: one posture of a shipped arm displaced, and what gives the effect away."""
+"""Sketches of the effects of an arm's links.
+
+One posture of a shipped arm displaced, and what gives the effect away.
+"""
 
 from dataclasses import replace
 from functools import cache

@@ -110,7 +110,10 @@ def example_run_with_effect(
 
 @cache
 def hexapod_design_for_sketches() -> Design:
-    """Design of the hexapod used in all sketches, with an off-centre payload."""
+    """Design of the hexapod used in sketches.
+
+    With an off-centre payload.
+    """
     design = design_from_rig_toml.design_of_entries(
         toml_entries(
             hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(RADIUS, cameras=1, cubes=1), Path("layout")
@@ -310,7 +313,10 @@ def _seen(points: Floats) -> Floats:
 
 
 def enlargement_factor(size: float, target: float) -> float:
-    """Enlargement factor (1, 2, 5 times a power of ten, at least 1) from a size to about a target size."""
+    """Enlargement factor from a size to about a target size.
+
+    1, 2, 5 times a power of ten, at least 1.
+    """
     if size <= FLOOR:
         return 1.0
     power = 10.0 ** np.floor(np.log10(target / size))
@@ -324,8 +330,9 @@ def enlargement_text(text: str, factor: float) -> str:
 
 
 def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """Largest of the units in which a size is 2 or more.
+    """Largest of the units that is suitable for a size.
 
+    In it the size is 2 or more.
     Returns (value, unit)
     """
     return next(

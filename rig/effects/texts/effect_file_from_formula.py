@@ -19,7 +19,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
 )
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.model.arm_hands_effect_places_and_tolerances import AXES
 
 WIDTH = 145  # characters of a line

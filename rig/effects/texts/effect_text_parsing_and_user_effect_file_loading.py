@@ -22,7 +22,7 @@ from rig.effects.framework.effect import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Parameter
 from rig.errors import FileError, RigError
-from rig.formats.checked_entries import NAME, nearest_known_word
+from rig.formats.checked_toml_and_json_entries import NAME, nearest_known_word
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import parse_quantity
 from rig.formats.user_python_file_reading_and_running import (
@@ -30,7 +30,7 @@ from rig.formats.user_python_file_reading_and_running import (
     line_in_file_of_error,
     line_of_class,
     read_user_text,
-    run_user_text,
+    run_user_text_as_module,
 )
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import AXES, Place, parse_place_in_stage
@@ -40,8 +40,9 @@ Kinds = Mapping[str, type[Effect]]  # effects by their names
 
 
 def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
-    """Effect parsed from the text NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are separated by slashes.
+    """Parse an effect from its text.
 
+    The text is NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are separated by slashes.
     Lengths and angles may have a unit, as gap=80um.
 
     The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig",
@@ -238,7 +239,7 @@ def effect_classes_of_source_text(text: str, path: Path) -> tuple[type[Effect], 
     path : its name in errors.
     Raises FileError.
     """
-    found: list[type[Effect]] = UserModule(path, text, "", run_user_text(text, path)).classes(Effect)
+    found: list[type[Effect]] = UserModule(path, text, "", run_user_text_as_module(text, path)).classes(Effect)
     if not found:
         raise FileError(path, "defines no effect: a dataclass derived from rig.effects.base.Effect")
     for kind in found:

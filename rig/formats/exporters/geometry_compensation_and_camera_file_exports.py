@@ -1,4 +1,4 @@
-"""Geometry and camera files for other programs.
+"""Geometry, compensation and camera files for other programs.
 
 Geometry, compensation and cameras: JSON, CSV, LinuxCNC, ROS and OpenCV.
 
@@ -50,7 +50,10 @@ def _parameter_rows(mechanism: FileMechanism) -> list[tuple[str, str, float, flo
 
 
 def geometry_json(mechanism: Hexapod | Arm | FileMechanism) -> str:
-    """Geometry of a Hexapod or an Arm, or the parameters of a kinematics file by name, as JSON."""
+    """Geometry of a mechanism as JSON.
+
+    Of a Hexapod or an Arm, or the parameters of a kinematics file by name.
+    """
     tree: Json
     if isinstance(mechanism, FileMechanism):
         rows = (dict(zip(PARAMETER, row)) for row in _parameter_rows(mechanism))
@@ -257,8 +260,9 @@ def linuxcnc_compensation_file(joint_positions: Floats, corrections: Floats, uni
 
 
 def correction_grid_csv(configurations: Floats, corrections: Floats, axes: tuple[str, ...], unit: str) -> str:
-    """CSV of corrections (n, axes) on a grid of configurations (n, axes), with comment lines that explain them.
+    """CSV of corrections (n, axes) on a grid of configurations (n, axes).
 
+    With comment lines that explain them.
     unit : of both, "m" or "rad".
     """
     lines = [

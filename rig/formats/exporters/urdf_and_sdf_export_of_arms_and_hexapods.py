@@ -1,4 +1,4 @@
-"""URDF and SDF of a machine.
+"""URDF and SDF export of arms and hexapods.
 
 URDF of an arm, and URDF and SDF of a hexapod.
 
@@ -119,7 +119,7 @@ class Strut:
         return self.T_base_cross * RigidTransform.from_rotation(Rotation.from_rotvec([0, self.tilt, 0]))
 
 
-def simulator_struts(hexapod: Hexapod) -> list[Strut]:
+def struts_as_simulators_model_them(hexapod: Hexapod) -> list[Strut]:
     """The struts of a Hexapod as simulators model them.
 
     Universal joint, slide, ball joint.
@@ -164,7 +164,7 @@ def hexapod_urdf(hexapod: Hexapod, name: str = "hexapod") -> str:
     Links base, strut_N, strut_N_rod, platform; the loops are listed for the simulator.
     Raises RigError where no cardan can be.
     """
-    all_struts = simulator_struts(hexapod)
+    all_struts = struts_as_simulators_model_them(hexapod)
     links, joints = ["base", "ball_x", "ball_y", "platform"], []
     for n, strut in enumerate(all_struts, 1):
         links += [f"strut_{n}_cross", f"strut_{n}", f"strut_{n}_rod", f"strut_{n}_tip", f"platform_joint_{n}"]
@@ -236,7 +236,7 @@ def hexapod_sdf(hexapod: Hexapod, name: str = "hexapod") -> str:
         f'    <link name="platform">{_pose(hexapod.home)}</link>',
         '    <joint name="ground" type="fixed"><parent>world</parent><child>base</child></joint>',
     ]
-    for n, strut in enumerate(simulator_struts(hexapod), 1):
+    for n, strut in enumerate(struts_as_simulators_model_them(hexapod), 1):
         lines += _strut(n, strut)
     return "\n".join([*lines, "  </model>", "</sdf>"]) + "\n"
 

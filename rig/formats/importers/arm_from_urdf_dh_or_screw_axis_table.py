@@ -19,7 +19,7 @@ from rig.formats.importers.arm_joint_tables_of_dh_rows_or_screw_axes import (
 from rig.formats.importers.urdf_hands_and_dh_rows_of_joint_axes import (
     couplings_and_limits_of_joints,
     denavit_hartenberg_rows_of_joint_axes,
-    urdf_arm_with_several_hands,
+    urdf_arm_with_several_hands_and_its_joint_chains,
 )
 from rig.formats.importers.urdf_joint_chain import MOVING, limits_text, load_joint_chain
 from rig.model.mechanism_geometry_classes import Arm
@@ -147,7 +147,7 @@ class ArmFileOptions:
 
 
 def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
-    """ReadArm of the file that is named, None where none is.
+    """Arm (ReadArm) read from the file that the options name, None where they name none.
 
     Raises FileError as load_joint_chain of rig.formats.importers.urdf_joint_chain, and as
         rig.formats.importers.arm_joint_tables_of_dh_rows_or_screw_axes
@@ -162,8 +162,9 @@ def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
 
 
 def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = None) -> ReadArm:
-    """ReadArm of a URDF's joints from a root link to a tip, or to several, whose forward kinematics is the URDF's.
+    """Arm (ReadArm) read from a URDF.
 
+    Its joints are those from a root link to a tip, or to several; its forward kinematics is the URDF's.
     Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain
     """
     if len(tips) > 1:
@@ -187,7 +188,7 @@ def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = Non
 
 def _read_urdf_arm_with_several_hands(path: Path, tips: tuple[str, ...], root: str | None) -> ReadArm:
     """The same of an arm whose hands are several tips."""
-    arm, chains = urdf_arm_with_several_hands(path, tips, root)
+    arm, chains = urdf_arm_with_several_hands_and_its_joint_chains(path, tips, root)
     joints = {joint.name: joint for chain in chains for joint in chain.joints}
     names = [joint.name for joint in joints.values() if joint.kind in MOVING]
     shared = [name for name in names if all(name in [joint.name for joint in chain.moving] for chain in chains)]
@@ -204,7 +205,7 @@ def _names_any(remark: str, names: list[str]) -> bool:
 
 
 def read_dh_table_arm(path: Path, is_modified: bool = False, units: str | None = None) -> ReadArm:
-    """ReadArm of a table of Denavit-Hartenberg rows.
+    """Arm (ReadArm) read from a table of Denavit-Hartenberg rows.
 
     Raises FileError as rig.formats.importers.arm_joint_tables_of_dh_rows_or_screw_axes.load_denavit_hartenberg_table
     """

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError, RigError
-from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import ForeignTable
@@ -20,7 +20,7 @@ from rig.formats.importers.units_and_timestamps import split_header
 from rig.formats.importers.urdf_hands_and_dh_rows_of_joint_axes import (
     PlacedRows,
     denavit_hartenberg_rows_of_joint_axes,
-    distal_rows_of_modified_rows,
+    distal_dh_rows_of_modified_dh_rows,
 )
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS, SI, parse_length_and_angle_units
@@ -52,7 +52,7 @@ class JointTable:
 
 
 def load_denavit_hartenberg_table(path: Path, is_modified: bool = False, units: str | None = None) -> JointTable:
-    """JointTable of a CSV with a header.
+    """Load a CSV table of Denavit-Hartenberg rows as a JointTable.
 
     Its columns: theta, d, a, alpha; optional beta, joint, name, lower, upper.
     is_modified : whether the rows are in Craig's convention (alpha and a of a row before its theta and d), not distal
@@ -76,12 +76,12 @@ def load_denavit_hartenberg_table(path: Path, is_modified: bool = False, units: 
 
     rows = np.stack([figures(name) if name in at else np.zeros(len(slides)) for name in (*FIGURES, "beta")], axis=1)
     limits, assumed = _limits(cells, at, slides, (length, angle), units)
-    placed = distal_rows_of_modified_rows(rows[:, :4]) if is_modified else PlacedRows(rows, *_NOWHERE)
+    placed = distal_dh_rows_of_modified_dh_rows(rows[:, :4]) if is_modified else PlacedRows(rows, *_NOWHERE)
     names = cells.column(at["name"]) if "name" in at else [f"q{i + 1}" for i in range(len(slides))]
     return JointTable(placed, slides, limits, tuple(names), assumed)
 
 
-_NOWHERE = distal_rows_of_modified_rows(np.zeros((1, 4)))[1:]
+_NOWHERE = distal_dh_rows_of_modified_dh_rows(np.zeros((1, 4)))[1:]
 
 
 def _fail(cells: Cells, message: str) -> NoReturn:
@@ -182,8 +182,9 @@ def _limits(
 
 
 def load_product_of_exponentials_table(path: Path, T_home: RigidTransform, units: str | None = None) -> JointTable:
-    """JointTable of a CSV with the screw axes of an arm in the frame of poses: wx, wy, wz, vx, vy, vz of each joint.
+    """Load a CSV table of screw axes (product of exponentials) as a JointTable.
 
+    They are wx, wy, wz, vx, vy, vz of each joint, in the frame of poses.
     T = exp(S_1 q_1) .. exp(S_n q_n) T_home. A joint that turns has w of length 1 and v = -w x (a point of its axis), m;
     one that slides has w = 0 and v of length 1. Optional columns name, lower, upper
     T_home : the hand's pose while all joint values are 0; units : as of `load_denavit_hartenberg_table`

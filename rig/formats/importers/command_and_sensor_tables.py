@@ -15,7 +15,7 @@ import numpy as np
 from rig.array_and_json_types import Floats, Integers
 from rig.checks.mistake_dataclass_and_clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
-from rig.formats.checked_entries import name_problem
+from rig.formats.checked_toml_and_json_entries import name_problem
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
     DIRECTION,
@@ -25,7 +25,7 @@ from rig.formats.importers.foreign_table_columns import (
     Cells,
     accepted_header_names_of_axes,
     column_headers_for_import_recipe,
-    find_columns,
+    column_indices_by_headers,
 )
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import (
@@ -74,7 +74,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], m
     """
     cells = read_foreign_table_header_and_cells(table, "sensors")
     stated = {header: [ours for ours, other in table.columns if other == header] for _, header in table.columns}
-    found = find_columns(cells, "sensors", TIME, ("t",))
+    found = column_indices_by_headers(cells, "sensors", TIME, ("t",))
     read_times = cells.times(found["t"], "sensors", table, are_plausible)
     retained, renamed = [("t", cells.header[found["t"]])], []
     channels: list[tuple[str, Floats]] = []
@@ -162,7 +162,7 @@ def read_commands(table: ForeignTable, design: Design) -> ImportedCommands:
     if design.instrument is not None and design.instrument.kind == "direction" and len(axes) == len(DIRECTION):
         names = {axis: (*names[axis], *words) for axis, words in zip(axes, DIRECTION.values())}
     units = dict(zip(axes, mechanisms.axis_units(design.mechanism)))
-    found = find_columns(cells, "commands", {**TIME, **FRAME, **names}, axes, units)
+    found = column_indices_by_headers(cells, "commands", {**TIME, **FRAME, **names}, axes, units)
     values, table, value_remarks = _values(
         cells,
         [found[name] for name in axes],

@@ -64,7 +64,9 @@ class ImportedExposures:
 
 
 def list_image_files(images: Images, design: Design) -> list[ImageFile]:
-    """List the image files of the folders, sorted by name, with camera, frame number or time.
+    """List the image files of the folders.
+
+    Sorted by name, with camera, frame number or time.
     Raises RigError where names do not tell camera and frame or time.
     """
     cameras = {c.name.lower(): c.name for c in design.cameras}
@@ -89,7 +91,9 @@ def list_image_files(images: Images, design: Design) -> list[ImageFile]:
 def image_files_of_folder(
     files: list[Path], folder: Path, cameras: dict[str, str], name_pattern: str | None, rig_cameras: list[str]
 ) -> list[ImageFile]:
-    """Image files of one folder, with camera, frame number or time from their names.
+    """Image files of one folder.
+
+    With camera, frame number or time from their names.
     cameras : {word in lower case: camera}; name_pattern : how names are built, None for as they come ours : names of
         the
     cameras of rig.toml
@@ -212,8 +216,9 @@ def _pattern(stem: str, k: int, part: str) -> str:
 def group_images_into_exposures(
     image_files: list[ImageFile], images: Images, are_plausible: Callable[[Floats], bool]
 ) -> ImportedExposures:
-    """Group image files into exposures: by frame number, else by time.
+    """Group image files into exposures.
 
+    By frame number, else by time.
     are_plausible : whether times (n,) s from the first can be so.
 
     Raises FileError for names that are not built alike.

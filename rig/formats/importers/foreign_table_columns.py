@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
-from rig.formats.checked_entries import LARGEST_NUMBER
+from rig.formats.checked_toml_and_json_entries import LARGEST_NUMBER
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.units_and_timestamps import (
@@ -161,7 +161,7 @@ def _normalised_header(header: str) -> str:
 
 
 def accepted_header_names_of_axes(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Accepted header names of axes.
+    """Accepted header names of axes, {axis: names}.
 
     Returns {axis: names} of the axes l1.. or q1.., and of others their own names
     """
@@ -174,14 +174,14 @@ def accepted_header_names_of_axes(names: Iterable[str]) -> dict[str, tuple[str, 
     }
 
 
-def find_columns(
+def column_indices_by_headers(
     cells: Cells,
     section: str,
     header_names: Mapping[str, tuple[str, ...]],
     required_names: Iterable[str],
     axis_units: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Columns found by their headers.
+    """Indices of columns {our name: column index} found by accepted headers.
 
     header_names : {our name: what a header may be called}; required_names : that must be there; axis_units : {our name:
         "m" or "rad"} of axes. Raises RigError for what is missing or there twice

@@ -11,7 +11,7 @@ from typing import Any
 
 from rig.array_and_json_types import Json
 from rig.errors import RigError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.numbers_and_units import parse_number
@@ -167,9 +167,9 @@ def _set(tree: Json, settings: tuple[str, ...]) -> None:
 
 
 def recipe_with_settings(recipe: Recipe, settings: Sequence[str]) -> Recipe:
-    """The recipe with settings that an error supposes.
+    """The recipe with settings KEY=VALUE applied.
 
-    SECTION.columns.NAME=HEADER, images.cameras.WORD=NAME, SECTION.shift=S.
+    They are those that an error supposes: SECTION.columns.NAME=HEADER, images.cameras.WORD=NAME, SECTION.shift=S.
     """
     for setting in settings:
         key, _, value = setting.partition("=")

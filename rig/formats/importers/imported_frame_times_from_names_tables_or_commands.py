@@ -1,4 +1,4 @@
-"""Times of imported frames.
+"""Times of imported frames, from names, tables or commands.
 
 Of image names, a table or the commands' rows; one clock with the commands.
 """
@@ -25,7 +25,7 @@ from rig.formats.importers.foreign_table_columns import (
     TIME,
     Cells,
     column_headers_for_import_recipe,
-    find_columns,
+    column_indices_by_headers,
 )
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.formats.importers.units_and_timestamps import UnclearInput
@@ -39,7 +39,9 @@ Like = Callable[[Floats], bool]
 def exposures_timed_by_names_table_or_commands(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, are_plausible: Like
 ) -> tuple[ImportedExposures, Recipe]:
-    """Exposures with times: of their names, of a table of frames, or of the commands' rows.
+    """Exposures with times from names, a table or commands.
+
+    Of their names, of a table of frames, or of the commands' rows.
 
     The commands' rows are those of the frames one for one.
     are_plausible : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times
@@ -113,9 +115,9 @@ def _by_table(
 ) -> tuple[ImportedExposures, Recipe]:
     """The exposures with the times that a table gives frames or images."""
     cells = read_foreign_table_header_and_cells(table, "frames")
-    found = find_columns(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
+    found = column_indices_by_headers(cells, "frames", {**TIME, **FRAME, **IMAGE, **CAMERA}, ("t",))
     if "frame" not in found and "image" not in found:
-        found |= find_columns(cells, "frames", IMAGE, ("image",))
+        found |= column_indices_by_headers(cells, "frames", IMAGE, ("image",))
     if "image" not in found and any(
         Path(cell).suffix.lower() in exposures_from_image_names.KINDS for cell in cells.column(found["frame"])
     ):

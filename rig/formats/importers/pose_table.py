@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, NotConverged, RigError
-from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import (
     DIRECTION,
@@ -20,7 +20,7 @@ from rig.formats.importers.foreign_table_columns import (
     TIME,
     Cells,
     column_headers_for_import_recipe,
-    find_columns,
+    column_indices_by_headers,
 )
 from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.importers.units_and_timestamps import ambiguity_error
@@ -125,7 +125,7 @@ def read_poses(
     of_hands = HAND if hands else {}
     kind = "pose" if design.instrument is None else design.instrument.kind
     names, needed = _columns_of_kind(cells, kind)
-    found = find_columns(cells, "poses", {**TIME, **FRAME, **of_hands, **names}, (*needed, *of_hands))
+    found = column_indices_by_headers(cells, "poses", {**TIME, **FRAME, **of_hands, **names}, (*needed, *of_hands))
     table = replace(cells.table, columns=column_headers_for_import_recipe(table, cells, found))
     lines: tuple[str, ...] = ()
     p, t = np.zeros((len(cells.rows), 3)), None
@@ -166,7 +166,7 @@ def _columns_of_kind(cells: Cells, kind: str) -> tuple[Headers, tuple[str, ...]]
     if kind == "orientation":
         return rotations, ()
     if kind == "direction":
-        vector = {*"xyz"} <= set(find_columns(cells, "poses", POSITION, ()))
+        vector = {*"xyz"} <= set(column_indices_by_headers(cells, "poses", POSITION, ()))
         return (POSITION, ("x", "y", "z")) if vector else (DIRECTION, tuple(DIRECTION))
     return {**POSITION, **rotations}, ("x", "y", "z")
 

@@ -99,7 +99,9 @@ def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
 
 
 def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> ImportedRecording:
-    """Assemble an ImportedRecording from a Recipe, unreadable images skipped if requested.
+    """Assemble an ImportedRecording from a Recipe.
+
+    Unreadable images are skipped if requested.
     skip_unreadable : whether images that cannot be used are left out, and said
 
     Raises RigError for what cannot be used, for what is missing and for what reads well in two ways. What one error

@@ -16,7 +16,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, MissingLibrary, RigError
-from rig.formats.checked_entries import name_problem
+from rig.formats.checked_toml_and_json_entries import name_problem
 from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
 from rig.formats.importers.ros_messages_to_images_and_rows import (
     IMAGES,
@@ -25,8 +25,8 @@ from rig.formats.importers.ros_messages_to_images_and_rows import (
     TEMPERATURES,
     Message,
     Topic,
-    append_message_time,
-    append_row,
+    append_table_row_of_ros_message,
+    append_time_of_ros_message,
     write_image_message,
 )
 from rig.formats.importers.units_and_timestamps import ambiguity_error
@@ -60,11 +60,11 @@ def unpack_bags(recipe: Recipe, design: Design, folder: Path) -> Recipe:
         if count >= MOST:
             raise FileError(bag.files[0], f"holds more than {MOST} messages of the topics that are imported")
         topic = wanted[name]
-        append_message_time(topic, message, received, bag.files[0])
+        append_time_of_ros_message(topic, message, received, bag.files[0])
         if name in ours:
             write_image_message(folder / "images" / ours[name], topic, message, bag.files[0])
         else:
-            append_row(topic, message, bag.files[0])
+            append_table_row_of_ros_message(topic, message, bag.files[0])
     empty = next((topic.name for topic in wanted.values() if not topic.t), None)
     if empty:
         raise FileError(bag.files[0], f"topic {empty} has no messages")

@@ -139,7 +139,7 @@ class Topic:
 
 
 def encode_image_message(message: ImageMessage, compressed: bool, place: str) -> tuple[str, bytes]:
-    """Encode a ROS image message as an image file.
+    """Encode a ROS image message as the bytes of an image file, with its suffix.
 
     place : of it, for complaints. Raises RigError for what is not taken, and for half an image.
     Returns (suffix, bytes)
@@ -176,8 +176,8 @@ def encode_image_message(message: ImageMessage, compressed: bool, place: str) ->
     return ".png", content.tobytes()
 
 
-def append_message_time(topic: Topic, message: Message, received: int, file: Path) -> None:
-    """Append a message's time in ns.
+def append_time_of_ros_message(topic: Topic, message: Message, received: int, file: Path) -> None:
+    """Append the time of a ROS message, in ns, to its topic.
 
     Of its header, or of when it was received where headers are empty.
     Raises FileError where only some messages of a topic are stamped.
@@ -193,8 +193,9 @@ def append_message_time(topic: Topic, message: Message, received: int, file: Pat
 
 
 def write_image_message(folder: Path, topic: Topic, message: Message, file: Path) -> None:
-    """Write a message's image into a folder, named by its time.
+    """Write the image of a ROS message into a folder.
 
+    It is named by its time.
     Raises FileError for two of one time.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -207,8 +208,8 @@ def write_image_message(folder: Path, topic: Topic, message: Message, file: Path
     write_bytes(place, content)
 
 
-def append_row(topic: Topic, message: Message, file: Path) -> None:
-    """Append a table's row of a message.
+def append_table_row_of_ros_message(topic: Topic, message: Message, file: Path) -> None:
+    """Append the table row of a ROS message to its topic.
 
     Raises FileError for joints that are not those of the first message.
     """

@@ -1,4 +1,4 @@
-"""TPOINT's pointing data, imported.
+"""Import of TPOINT's pointing data, and refraction.
 
 Observed and telescope places of stars are read, and written as a recording of directions.
 
@@ -74,7 +74,7 @@ class PointingData:
 
 
 def read_pointing_data(path: str | Path) -> PointingData:
-    """PointingData of a TPOINT file.
+    """Read a TPOINT file as PointingData.
 
     Raises FileError with the line for a record that is none of those read here, an option that is not known, and
     right ascensions without the weather that refraction takes
@@ -216,7 +216,7 @@ def zenith_distances(hour_angles_and_declinations: Floats, latitude: float) -> F
 def refracted_hour_angle_and_declination(
     hour_angles_and_declinations: Floats, latitude: float, weather: Weather
 ) -> Floats:
-    """Hour angle and declination (n, 2) rad of stars as observed through the air.
+    """Refracted hour angles and declinations (n, 2) rad of stars, as observed through the air.
 
     Of those without it.
 
@@ -238,7 +238,7 @@ def refracted_hour_angle_and_declination(
 
 
 def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
-    """Refraction terms of light from stars.
+    """Refraction terms of starlight for a latitude and weather.
 
     latitude : rad
     Returns (rad of the tangent of the observed zenith distance, rad of its cube)
@@ -254,8 +254,9 @@ def refraction_terms(latitude: float, weather: Weather) -> tuple[float, float]:
 
 
 def write_pointing_recording(data: PointingData, sigma: float, folder: Path) -> None:
-    """Write a recording of directions into an empty folder.
+    """Write pointing data as a recording into a folder.
 
+    It is a recording of directions; the folder is empty.
     sigma : rad, noise of a direction along each of two axes
     """
     q, n = data.telescope, len(data.star)

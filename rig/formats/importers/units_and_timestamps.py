@@ -29,8 +29,9 @@ class UnclearInput(RigError):
 
 
 def ambiguity_error(subject: str, readings: Iterable[tuple[str, str]]) -> RigError:
-    """Error about an ambiguous input that lists all readings, each with the setting that selects it.
+    """Error about an ambiguous input that lists its possible readings.
 
+    Each with the setting that selects it.
     readings : (what it would mean, "key=value" that decides for it)
     """
     return RigError("\n".join([f"{subject}:", *(f"  {reading}: --set '{setting}'" for reading, setting in readings)]))
@@ -94,13 +95,13 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def unrecognised_unit_of_header(header: str) -> str | None:
-    """The word in brackets at the end of a header, where it is no unit; else None."""
+    """Unrecognised unit in brackets at the end of a header, None where there is none."""
     found = BRACKETS.match(header)
     return found[2] if found and found[1] and known_unit_or_none(found[2]) is None else None
 
 
 def known_unit_or_none(word: str) -> str | None:
-    """The unit that a word means, or None where it means none."""
+    """The known unit that a word means, or None."""
     word = word.strip()
     if word in (*ALL, *TIMES, *OTHER):
         return word
@@ -163,7 +164,10 @@ class Times:
 
 
 def index_of_first_text_not_a_time(texts: Sequence[str], unit: str | None) -> int | None:
-    """Index of the first text that is no time: no number, or no ISO 8601 where most are or `unit` is "iso"; or None."""
+    """Index of the first text that is no time, or None.
+
+    No number, or no ISO 8601 where most are or `unit` is "iso".
+    """
     form = max((SECONDS, ISO), key=lambda one: sum(map(bool, map(one.fullmatch, texts))))
     form = form if unit is None else ISO if unit == "iso" else SECONDS
     return next((k for k, text in enumerate(texts) if not form.fullmatch(text)), None)
@@ -178,8 +182,9 @@ def read_times(
     shift: float,
     are_plausible: Callable[[Floats], bool] = lambda t: True,
 ) -> Times:
-    """Times read from text cells: in s, ms, us, ns, since 1970 or a start, or as ISO 8601.
+    """Read times from text cells.
 
+    In s, ms, us, ns, since 1970 or a start, or as ISO 8601.
     section : of the section, as settings call it; subject : is read, in words; unit : stated, or None; shift : s added
 
     are_plausible : whether (n,) s from the first can be so

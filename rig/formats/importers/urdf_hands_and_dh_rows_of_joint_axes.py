@@ -1,4 +1,4 @@
-"""Several hands of an arm read from a URDF, and Denavit-Hartenberg rows of joint axes.
+"""Several hands of an arm from a URDF, and Denavit-Hartenberg rows of joint axes.
 
 Rows come from the lines of an arm's axes, and from a table in Craig's convention.
 """
@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError
-from rig.formats.checked_entries import name_problem
+from rig.formats.checked_toml_and_json_entries import name_problem
 from rig.formats.importers.urdf_joint_chain import JointChain, UrdfJoint, load_joint_chain
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand
 from rig.model.mechanism_geometry_classes import Arm
@@ -108,8 +108,8 @@ def _nearest(normal: Floats, x: Floats) -> Floats:
     return -normal if side < -1e-9 or (abs(side) <= 1e-9 and normal[1] < 0) else normal
 
 
-def distal_rows_of_modified_rows(modified: Floats) -> PlacedRows:
-    """PlacedRows of a table in Craig's (modified) convention.
+def distal_dh_rows_of_modified_dh_rows(modified: Floats) -> PlacedRows:
+    """Distal Denavit-Hartenberg rows (PlacedRows) of rows in Craig's modified convention.
 
     That is Rx(alpha) Tx(a) Rz(theta + q) Tz(d) for each row.
     modified : (n, 4) theta, d, a, alpha, rad and m. The first row's a and alpha are the base; a row here takes those of
@@ -126,11 +126,12 @@ def distal_rows_of_modified_rows(modified: Floats) -> PlacedRows:
     return PlacedRows(rows, _identity_if_near(base), RigidTransform.identity())
 
 
-def urdf_arm_with_several_hands(
+def urdf_arm_with_several_hands_and_its_joint_chains(
     path: Path, tips: tuple[str, ...], root: str | None = None
 ) -> tuple[Arm, tuple[JointChain, ...]]:
-    """(Arm, JointChain to each tip) of a URDF's joints from a root link to several tips, its hands named by these.
+    """Arm with several hands of a URDF, and its joint chains, one to each hand.
 
+    The joints are those from a root link to several tips, by which the hands are named.
     The first tip's joints come first, and then those of each further one that are not listed yet. Where joints stand on
     a link that an earlier joint moves, they are a branch; a row of a shared joint is that of the first tip.
     Raises FileError as `load_joint_chain`, and for a tip named twice or by no name that a column of a table can hold
@@ -154,8 +155,9 @@ def urdf_arm_with_several_hands(
 
 
 def couplings_and_limits_of_joints(path: Path, joints: tuple[UrdfJoint, ...]) -> tuple[tuple[Coupling, ...], Floats]:
-    """(Couplings of joints that mimic others, limits (n, 2) rad or m) of a URDF's moving joints.
+    """Couplings and limits (n, 2) rad or m of a URDF's moving joints.
 
+    Couplings are of joints that mimic others.
     A joint that mimics a follower follows its leader. A leader's limits are narrowed to where its followers are within
     theirs. Raises FileError for a leader that is not among the joints, joints that follow each other, and limits that
     leave a leader no travel

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.formats.checked_entries import LARGEST_RIG, nearest_known_word
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.numbers_and_units import parse_numbers
 
@@ -74,9 +74,9 @@ class UrdfJoint:
 
 
 def limits_text(limits: Sequence[float], is_slide: bool) -> str:
-    """Limits of a joint for people.
+    """Text of a joint's limits, in degrees or, of a slide, in mm.
 
-    In mm of a slide, else in degrees.
+
     limits : (2,) m or rad
     """
     low, high = np.asarray(limits) * (1e3 if is_slide else 180 / np.pi)
@@ -112,8 +112,9 @@ class JointChain:
 
 
 def load_joint_chain(path: Path, tip: str | None = None, root: str | None = None) -> JointChain:
-    """JointChain of a URDF file, from its root link, or the one that is named, to the tip that is named.
+    """Load the joint chain (JointChain) of a URDF file, from a root link to a tip.
 
+    From its root link, or the one that is named, to the tip that is named.
     tip : may be None where only one link is at an end
     Raises FileError, with the line, for what is no URDF, Xacro that is not expanded, links and joints that make no
         tree, a joint on the way that an arm cannot have, and an unknown or missing link

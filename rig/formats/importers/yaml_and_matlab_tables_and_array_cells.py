@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import FileError, RigError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.importers.foreign_table_columns import LONGEST, NUMBER, Cells
 from rig.formats.importers.units_and_timestamps import split_header
 from rig.formats.json_toml_and_yaml_loading import load_yaml
@@ -49,8 +49,9 @@ def is_array_cell(cell: str) -> bool:
 
 
 def cells_with_arrays_as_columns(cells: Cells, section: str) -> Cells:
-    """Cells whose columns of arrays are a column for each number; as they are where there are none.
+    """Cells in which each column of arrays is replaced by a column for each number.
 
+    As they are where there are none.
     section : "poses", where 3, 6 or 7 numbers are a position, rotation vector or quaternion and a matrix is a pose or
         a rotation; "commands", one number for each axis; others, numbered columns. By its name a column of joints is
         none of poses, and one of poses none of commands
@@ -229,7 +230,7 @@ class FileRows:
 
 
 def is_yaml(path: Path) -> bool:
-    """Whether a file is YAML by its name."""
+    """Whether a file is YAML, by its name."""
     return path.suffix.lower() in (".yaml", ".yml")
 
 
@@ -239,7 +240,7 @@ def is_matlab(path: Path) -> bool:
 
 
 def read_yaml_rows(path: Path, section: str) -> FileRows:
-    """FileRows of a YAML file.
+    """Read the rows (FileRows) of a YAML file.
 
     It has a list of tables, or tables of lists that are equally long.
     section : key of the list that is meant, where a file has several
@@ -303,8 +304,9 @@ def _text(value: object) -> str:
 
 
 def read_matlab_rows(path: Path) -> FileRows:
-    """FileRows of a .mat file of version 7 or earlier: variables, or the fields of one structure, with a row each.
+    """Read the rows (FileRows) of a MATLAB file.
 
+    A .mat file of version 7 or earlier: variables, or the fields of one structure, with a row each.
     A variable of n rows is a column, of n rows and k columns a column of lists, of 4 x 4 x n a column of matrices.
     Raises FileError for version 7.3, for what MATLAB alone can read, and for variables without rows in common
     """

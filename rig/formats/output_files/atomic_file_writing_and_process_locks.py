@@ -104,7 +104,9 @@ def _lock_file(path: Path) -> Path:
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder's entries to disk, where its system and its file system support that.
+    """Sync a folder to disk.
+
+    Its entries, where its system and its file system support that.
     Raises OSError for a folder that cannot be opened.
     """
     if hasattr(os, "O_DIRECTORY"):
@@ -116,7 +118,10 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_open_folder(descriptor: int) -> None:
-    """Sync an open folder's entries to disk, where its file system supports that."""
+    """Sync an open folder to disk.
+
+    Its entries, where its file system supports that.
+    """
     try:
         os.fsync(descriptor)
     except OSError as error:
@@ -174,7 +179,9 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
 
 
 def path_status(path: str | PathLike[str]) -> os.stat_result | None:
-    """Status (stat) of what is at a path, links followed, or None for nothing.
+    """Status (stat) of what is at a path, or None for nothing.
+
+    Links are followed.
     Raises OSError for what cannot be asked.
     """
     try:

@@ -1,4 +1,4 @@
-"""Outputs of one command.
+"""Staged outputs of a command, protected against overwriting.
 
 No foreign file is overwritten unless forced; all are moved to their places when complete.
 """

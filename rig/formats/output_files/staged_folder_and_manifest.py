@@ -40,7 +40,10 @@ RECORDED = (
 
 
 def is_recording_table(name: str) -> bool:
-    """Whether a file name is that of a recording's table (commands.csv, frames.csv ..)."""
+    """Whether a file name is that of a recording's table.
+
+    Such as commands.csv, frames.csv.
+    """
     return any(fnmatchcase(name, pattern) for pattern in RECORDED)
 
 
@@ -142,8 +145,9 @@ def load_manifest(folder: Path) -> FolderManifest:
 
 
 def require_complete_folder(folder: Path) -> None:
-    """Raise FileError unless a folder is complete: no command was interrupted while writing it.
+    """Raise FileError unless a folder is complete.
 
+    No command was interrupted while writing it.
     A folder that nobody has marked is taken as it is.
     """
     origin = load_manifest(Path(folder)).origin
@@ -152,7 +156,10 @@ def require_complete_folder(folder: Path) -> None:
 
 
 def file_sha256_or_empty(path: Path) -> str:
-    """Digest (sha256, hexadecimal) of a file, "" for one that cannot be read."""
+    """SHA-256 digest of a file, "" for one that cannot be read.
+
+    It is hexadecimal.
+    """
     whole = sha256()
     try:
         if local_and_remote_input_files.is_remote(path):
@@ -170,7 +177,7 @@ GROWING = f"{NEW}growing"  # stands in a folder, locked, while a command writes 
 
 
 def lock_unused_folder(folder: Path) -> HeldLock:
-    """Lock a folder where nobody writes.
+    """Lock a folder in which no other process writes.
 
     Raises RigError where another process does, OSError where the folder cannot be opened.
     """

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
@@ -56,7 +56,7 @@ class ArmDynamics:
         return value
 
 
-def load_arm_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
+def load_arm_design_and_dynamics(path: Path | str) -> tuple[Design, ArmDynamics]:
     """Load (Design, ArmDynamics) of an arm's rig.toml.
 
     What [dynamics] lacks is None.

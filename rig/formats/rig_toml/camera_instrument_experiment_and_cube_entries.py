@@ -1,4 +1,4 @@
-"""Camera, instrument and cube entries of rig.toml.
+"""Camera, instrument, experiment and cube entries of rig.toml.
 
 Tables [[camera]], [instrument], [experiment] and [turned] (cubes), read; [[camera]] written.
 """
@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, stated_units
 from rig.model.design import (
     DISTORTION_TERMS,
@@ -141,7 +141,7 @@ def _capture(table: Entries, source: str | None) -> CaptureSettings:
 def require_supported_hand_mounted_cameras(
     root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...], mechanism: Mechanism
 ) -> None:
-    """Check of hand-mounted cameras.
+    """Require that hand-mounted cameras are supported.
 
     Raises FileError for those that these targets or this mechanism do not support
     """
@@ -177,7 +177,7 @@ def require_supported_hand_mounted_cameras(
 def refuse_stage_targets_of_moving_cameras(
     root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...]
 ) -> None:
-    """Raise FileError for targets on a stage of a chain that is seen by a moving camera."""
+    """Raise FileError for targets on a stage of a chain that a moving camera sees."""
     moving = [camera.name for camera in cameras if camera.mount == "moving"]
     for table, target in zip(root.tables("target"), targets):
         if moving and target.stage:
@@ -245,8 +245,9 @@ def instrument_of_table(table: Entries, mechanism: Mechanism) -> Instrument:
 
 
 def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
-    """Permission for experiments, of the table [experiment]: what they may do, and to which cubes.
+    """Permission for experiments, of the table [experiment].
 
+    What they may do, and to which cubes.
     Raises FileError for what is none of it.
     """
     table.refuse_misspelt(("may",))
@@ -317,7 +318,9 @@ def _pose_entry(pose: RigidTransform, units: LengthAndAngleUnits) -> dict[str, l
 
 
 def camera_toml(camera: Camera, has_pose: bool = False, units: LengthAndAngleUnits = SI) -> str:
-    """TOML text of a [[camera]] table, with its pose or a blank to fill in.
+    """TOML text of a [[camera]] table.
+
+    With its pose or a blank to fill in.
     has_pose : whether its pose is known; else it is a place to fill in; units : of the file that it is for
     """
     place = _pose_entry(camera.pose if has_pose else RigidTransform.identity(), units)
@@ -373,7 +376,7 @@ ENTRY_POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of a package's 
 
 
 def user_program_with_path_beside_rig_toml(table: Entries, key: str, file_or_package: str) -> str:
-    """Entry of rig.toml that names a user's program: a file or a package.
+    """User's program that an entry of rig.toml names, its path joined to the folder of rig.toml.
 
     A file_or_package "file:PATH" with PATH joined to the folder of rig.toml, or "package:NAME" as it is.
     Raises FileError.

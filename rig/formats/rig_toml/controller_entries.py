@@ -1,8 +1,11 @@
-"""Entries of [controller]: what drives a machine's axes, and by which protocol."""
+"""Controller entries of rig.toml, table [controller].
+
+What drives a machine's axes, and by which protocol.
+"""
 
 from dataclasses import fields
 
-from rig.formats.checked_entries import LARGEST_RIG, REQUIRED, Entries, Required
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, REQUIRED, Entries, Required
 from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import user_program_with_path_beside_rig_toml
 from rig.model import protocol_port_and_user_program_name_checks as names
 from rig.model.design import PROTOCOLS, Actuator, Controller
@@ -18,7 +21,9 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 
 
 def controller_of_table(table: Entries, mechanism: Mechanism, actuator: Actuator) -> Controller:
-    """Controller of a [controller]. actuator : whose max_speed holds where the controller states none
+    """Controller of a [controller] table.
+
+    actuator : whose max_speed holds where the controller states none
 
     Raises FileError for what does not suit the mechanism.
     """

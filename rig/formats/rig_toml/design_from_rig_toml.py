@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries

@@ -1,9 +1,12 @@
-"""Strut entries of rig.toml: hexapods of six to eight struts and two struts in a plane, read with checks."""
+"""Hexapod and two-strut entries of rig.toml.
+
+Hexapods of six to eight struts and two struts in a plane, read with checks.
+"""
 
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.formats.checked_entries import LARGEST_RIG, Entries
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries
 from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Hexapod, Planar2
 from rig.model.mechanisms.hexapod import singular_geometry_problem
 from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import hexapod_of_actuated_struts
@@ -12,7 +15,7 @@ SHORTEST = 2e-3  # m; no strut is shorter, so that a smaller figure in a file in
 
 
 def two_strut_plane_of_table(table: Entries) -> Planar2:
-    """Two struts of a table, lengths in m. Raises FileError."""
+    """Mechanism of two struts in a plane (Planar2) of a table, lengths in m. Raises FileError."""
     table.refuse_misspelt(("kind", "base_joints", "strut_range"))
     return Planar2(
         table.array("base_joints", (2, 2), length_limit=LARGEST_RIG),
@@ -21,7 +24,10 @@ def two_strut_plane_of_table(table: Entries) -> Planar2:
 
 
 def hexapod_of_table(table: Entries) -> Hexapod:
-    """Hexapod of a table, lengths in m. Raises FileError for a home out of reach or where the struts are singular."""
+    """Hexapod of a table, lengths in m.
+
+    Raises FileError for a home out of reach or where the struts are singular.
+    """
     table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home", "followers"))
     count = stated_strut_count(table)
     base = table.array("base_joints", (count, 3), length_limit=LARGEST_RIG)
@@ -46,15 +52,19 @@ def hexapod_of_table(table: Entries) -> Hexapod:
 
 
 def stated_strut_count(table: Entries) -> int:
-    """Number of struts of a hexapod, six to eight, for which its table lists joints of both plates."""
+    """Number of struts that a hexapod's table states.
+
+    Six to eight, for which it lists joints of both plates.
+    """
     plates = [table.tree.get(key) for key in ("base_joints", "platform_joints")]
     listed = min(len(rows) if isinstance(rows, list) else 0 for rows in plates)
     return min(max(listed, STRUT_COUNTS[0]), STRUT_COUNTS[-1])
 
 
 def follower_strut_numbers(table: Entries, count: int) -> tuple[int, ...]:
-    """Numbers, from 0, of the struts that bear no force and follow, of `count`; none where nothing is stated.
+    """Numbers, from 0, of the follower struts that a table states.
 
+    They bear no force and follow; of `count` struts, none where nothing is stated.
     Raises FileError for other numbers than there are struts beyond six
     """
     stated = table.get("followers", [])
@@ -87,7 +97,10 @@ def _strut_ranges(table: Entries, key: str, count: int, length_limit: float) -> 
 def message_of_disordered_limits(
     table: Entries, key: str, limits: tuple[float, float], unit: str, row: int | None = None
 ) -> str:
-    """Message about limits, in SI, of which the first is not the smaller. row : of the key, or None"""
+    """Message that limits are not in the order smaller, larger.
+
+    limits : in SI; row : of the key, or None
+    """
     low, high = (table.units.shown(value, unit).removesuffix(" rad" if unit == "rad" else " m") for value in limits)
     label = table.name(key) + ("" if row is None else f"[{row + 1}]")
     return f"{label} must run from small to large, not {low} .. {high}"

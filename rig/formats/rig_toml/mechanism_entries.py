@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import FileError
-from rig.formats.checked_entries import LARGEST_RIG, Entries, nearest_known_word
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, nearest_known_word
 from rig.formats.json_toml_and_yaml_loading import json_data
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.output_files import write_text
@@ -45,8 +45,10 @@ def refuse_tables_unsuited_to_several_hands(root: Entries) -> None:
 
 
 def bodies_by_name_in_rig_toml(mechanism: Mechanism) -> dict[str, str]:
-    """{word in rig.toml: body of a Target}: of an arm with several hands the hand's name; the first one's targets are
-    the platform's, those of others are measured as the stages of a chain are.
+    """Bodies of targets by their names in rig.toml, {name: body}.
+
+    Of an arm with several hands a name is the hand's; the first one's targets are the platform's, those of others are
+    measured as the stages of a chain are.
     """
     names = hand_names(mechanism)
     if not names:
@@ -55,7 +57,7 @@ def bodies_by_name_in_rig_toml(mechanism: Mechanism) -> dict[str, str]:
 
 
 def branches_of_tables(table: Entries, joint_count: int) -> tuple[Branch, ...]:
-    """Branches of a table [mechanism] of an arm with so many joints. Raises FileError for what makes no tree."""
+    """Branches of an arm from its table [mechanism]. Raises FileError for what makes no tree."""
     out: list[Branch] = []
     for one in table.tables("branch"):
         one.refuse_misspelt(("joint", "parent", "mount"))
@@ -78,8 +80,9 @@ def _joint(table: Entries, least: int, joints: int, key: str = "joint") -> int:
 
 
 def hands_of_tables(table: Entries, joint_count: int, branches: tuple[Branch, ...]) -> tuple[Hand, ...]:
-    """Hands of a table [mechanism] of an arm with so many joints; none where it states no [[mechanism.hand]].
+    """Hands of an arm from its table [mechanism].
 
+    None where it states no [[mechanism.hand]].
     Raises FileError for a single hand, names given twice, a tool stated elsewhere, and branches without hands
     """
     out: list[Hand] = []
@@ -107,8 +110,9 @@ def hands_of_tables(table: Entries, joint_count: int, branches: tuple[Branch, ..
 
 
 def couplings_of_tables(table: Entries, is_prismatic: Booleans) -> tuple[Coupling, ...]:
-    """Couplings of a table [mechanism] of an arm whose joints are prismatic where is_prismatic (n,) is true.
+    """Couplings of an arm's joints from its table [mechanism].
 
+    Its joints are prismatic where is_prismatic (n,) is true.
     Raises FileError for what couples nothing
     """
     out: list[Coupling] = []
@@ -125,8 +129,8 @@ def couplings_of_tables(table: Entries, is_prismatic: Booleans) -> tuple[Couplin
     return tuple(out)
 
 
-def branch_and_hand_json(arm: Arm) -> Json:
-    """The tables of branches, hands and couplings of an arm as JSON holds them.
+def json_of_branches_hands_and_couplings(arm: Arm) -> Json:
+    """JSON of the branches, hands and couplings of an arm.
 
     The functions above read them; nothing of one hand without couplings.
     """
@@ -180,7 +184,7 @@ class Joint:
 
 
 def joint_rows_and_kinds(table: Entries) -> tuple[Floats, Booleans]:
-    """Joint rows and joint kinds of a table.
+    """Rows of joints (n, 4 or 5) and kinds of joints (n,) of a table.
 
     Rows (n, 4 or 5) of theta, d, a, alpha, beta (rad, m); kinds (n,) are true where prismatic.
 
@@ -321,8 +325,9 @@ def mechanism_of_table(table: Entries) -> Mechanism:
 
 
 def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
-    """Mechanism of a kinematics file beside the file that names it.
+    """Mechanism of a kinematics file.
 
+    The file is beside the one that names it.
     key : where that is.
     Raises FileError.
     """
@@ -334,9 +339,9 @@ def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
 
 
 def write_kinematics_file(folder: Path, mechanism: Mechanism) -> None:
-    """Write the kinematics file of a mechanism into a folder, beside a file that names it.
+    """Write the kinematics file of a mechanism into a folder.
 
-    Nothing for other kinds.
+    It is beside the file that names it. Nothing is written for other kinds.
     Raises FileError where another file of that name is there
     """
     for name, text in mechanism.files.items():

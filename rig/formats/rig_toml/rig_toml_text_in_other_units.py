@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rig.array_and_json_types import Json
-from rig.formats.checked_entries import Key
+from rig.formats.checked_toml_and_json_entries import Key
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.numbers_and_units import SI, LengthAndAngleUnits, UnitNames
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
@@ -27,8 +27,9 @@ REMARK = re.compile(r"(#\s+|\()(m|rad)(?=(/s(\^2)?)?( per revolution|,|\)|\s*$))
 
 
 def rig_toml_in_units(text: str, units: LengthAndAngleUnits) -> str:
-    """The text of a rig.toml in m and rad with its lengths and angles in other units, which it states.
+    """The text of a rig.toml with its lengths and angles in other units.
 
+    Of one in m and rad; the units are stated.
     Figures are converted by the units that the reader of rig.toml asks for; layout and remarks remain.
     text : whose boards, if any, are listed markers
     Raises FileError where the text is no rig.toml, ValueError where it states units already, or a board

@@ -28,7 +28,7 @@ REACH = 1.0  # m; a radian counts like so much
 
 
 def single_hand_arm_link_frames(q: Floats, arm: Arm) -> Floats:
-    """Frames (..., n + 2, 4, 4) of the arm's links at joint values, frames 0..n and the platform's.
+    """Link frames (..., n + 2, 4, 4) of an arm with a single hand at joint values: 0..n and the platform's.
 
     q : (..., n) rad, of slides m. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or
         values not finite, RigError for an arm with several hands
@@ -110,7 +110,7 @@ def hand_pose_of_each_row(q: Floats, arm: Arm, hand: Integers | None) -> RigidTr
 
 
 def joint_values_with_zero_for_slides(q: Floats, arm: Arm) -> Floats:
-    """Turn angles (..., n) rad of the joints at joint values q (..., n): the values themselves, 0 for slides."""
+    """Joint values (..., n) rad with zero for slides, the turn angles of the joints at q (..., n)."""
     q = arm.with_followers(q)
     return np.where(arm.slides, 0.0, q) if arm.slides.any() else np.asarray(q, float)
 
@@ -160,7 +160,7 @@ def jacobian(q: Floats, arm: Arm, output_axes: str = "platform") -> Floats:
 
 
 def geometric_jacobian(frames: JointFrames, arm: Arm, output_axes: str = "platform") -> Floats:
-    """Geometric Jacobian (..., 6, n) of an arm whose joint frames these are; 0 of joints that do not move the hand."""
+    """Geometric Jacobian (..., 6, n) of an arm from its joint frames."""
     z, o = frames.before[..., :3, 2], frames.before[..., :3, 3]
     J = np.concatenate([np.cross(z, frames.tip[..., None, :3, 3] - o), z], axis=-1)
     if arm.slides.any():
@@ -201,7 +201,7 @@ def home_values(arm: Arm) -> Floats:
 
 
 def axis_forces_and_torques(T: RigidTransform, q: Floats, arm: Arm, wrench: Floats) -> Floats:
-    """Loads (m, n) N m (slides: N) of the joints that hold a wrench (m, 6) on the platform, the hand."""
+    """Forces (slides) and torques (m, n) N, N m of the joints that hold a wrench (m, 6) on the hand."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
 
 
@@ -246,7 +246,7 @@ def link_weight_base_moments(q: Floats, arm: Arm, gravity: Floats) -> Floats:
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, q: Floats, arm: Arm, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (m, n) and sway (m, 6) by the growth of links, lengths d and a by shares (m, n).
+    """Axis deviation (m, n) and sway (m, 6) by growth of members: lengths d and a of links by shares (m, n).
     A slide's scale is its travel with it.
     """
     frames, rows = joint_frames(q, arm), arm.rows
@@ -275,7 +275,7 @@ def jacobian_rows_by_axis(T: RigidTransform, q: Floats, arm: Arm) -> Floats:
 
 
 def link_points(q: Floats, arm: Arm) -> Floats:
-    """Points (..., n + 2, 3) m of the line along the links at joint values q (..., n), in the frame of poses.
+    """Points (..., n + 2, 3) m of the links at joint values q (..., n), in the frame of poses.
 
     Of several hands the line goes from the base to each in turn, and back
     """
@@ -293,7 +293,7 @@ def link_points(q: Floats, arm: Arm) -> Floats:
 
 
 def strut_ends(T: RigidTransform, arm: Arm) -> None:
-    """Strut ends: None, since an arm has no struts."""
+    """Strut ends, which an arm has none of: None."""
     return None
 
 
@@ -315,7 +315,7 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
 def solve_arm_inverse_by_damped_least_squares(
     T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None, starts: int = STARTS, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Inverse kinematics solved by damped least squares from a guess, then random starts.
+    """Solve the inverse kinematics of an arm by damped least squares, from a guess, then random starts.
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
     A solution outside the limits is only given where no start leads to one inside.

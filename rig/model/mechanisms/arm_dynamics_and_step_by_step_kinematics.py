@@ -61,8 +61,9 @@ class LinkMasses:
 def joint_torques(
     q: Floats, speed: Floats, acceleration: Floats, arm: Arm, links: LinkMasses, gravity: Floats
 ) -> Floats:
-    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion alone, with nothing at the hand.
+    """Joint torques (..., n) N m (slides: N) for an arm's weight and motion.
 
+    With nothing at the hand.
     q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the
         axes of poses
     """
@@ -138,7 +139,10 @@ class KinematicsStep(NamedTuple):
 
 
 def three_hand_points_at_zero_joint_values(arm: Arm) -> Floats:
-    """Points A, B, C (3, 3) m of an arm's hand at zero, in its global frame."""
+    """Three points A, B, C (3, 3) m of an arm's hand at zero joint values.
+
+    In its global frame.
+    """
     F = frame_at_first_axes_crossing(arm)
     a = F.inv().apply(mechanism.forward(np.zeros(len(arm.joints)), arm).translation)
     return np.array([a, a + [0, 0, 1], a + [0, 1, 0]])
@@ -167,7 +171,7 @@ def hand_points_after_moving_each_joint(q: Floats, arm: Arm) -> list[KinematicsS
 def steps_of_closed_form_inverse(
     T_base_platform: RigidTransform, six_arm: SixJointArm, q: Floats
 ) -> list[KinematicsStep]:
-    """Steps of the closed-form inverse of a pose for a solution q (6,) rad, from joint 1 to 6.
+    """Steps of the closed-form inverse for a solution q (6,) rad, from joint 1 to 6.
 
     q : of closed_form_inverse: of two readings the one near it is taken, and what a singular pose leaves free
     """
@@ -205,7 +209,9 @@ def steps_of_closed_form_inverse(
 
 
 def joint_by_joint_inverse_steps(T_base_platform: RigidTransform, arm: Arm, q: Floats) -> list[KinematicsStep]:
-    """Steps of the inverse of a pose () for a numerical solution q (n,), from joint 1 to n.
+    """Steps of the inverse, joint by joint, for a numerical solution q (n,) of a pose.
+
+    From joint 1 to n.
 
     The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
     """
@@ -341,8 +347,9 @@ UNSTATED = "needs mass and centre_of_mass of every [[mechanism.hand]] in rig.tom
 
 
 def weight_wrench(T: RigidTransform, gravity: Floats, mass: float | Floats, centre: Floats | None) -> Floats:
-    """Wrench (n, 6) N and N m, in the axes of bodies at poses T (n,), of weights on their origins.
+    """Wrench (n, 6) N and N m of weights on bodies.
 
+    On their origins, in the axes of bodies at poses T (n,).
     gravity : (n, 3) m/s^2 in the frame of poses; mass : kg, of all or (n,) of each; centre : (3,) m, in the body
     Raises ValueError where no centre is stated
     """
@@ -353,8 +360,9 @@ def weight_wrench(T: RigidTransform, gravity: Floats, mass: float | Floats, cent
 
 
 def loads_by_weight_of_hands(q: Floats, arm: Arm, gravity: Floats) -> Floats:
-    """Loads (n, joints) N m, of slides N, with which the joints at q (n, joints) hold all hands of an arm together.
+    """Loads (n, joints) N m of the joints by the weight of all hands, at q (n, joints).
 
+    Of slides N.
     gravity : (n, 3) m/s^2 in the frame of poses. A joint that several hands stand on holds the weight of each.
     """
     out = np.zeros(q.shape)

@@ -115,8 +115,9 @@ def closed_form_of_six_joint_arm(arm: Arm) -> SixJointArm:
 
 
 def frame_at_first_axes_crossing(arm: Arm) -> RigidTransform:
-    """Frame T_base_global of an Arm at the crossing of its first axes 1 and 2.
+    """Frame T_base_global of an Arm where its first two axes cross.
 
+    At the crossing of its axes 1 and 2.
     Its z is along axis 1, y along axis 2.
     """
     chain = mechanism.single_hand_arm_link_frames(np.zeros(len(arm.joints)), arm)
@@ -214,7 +215,10 @@ class DirectionCounts(NamedTuple):
 
 
 def hand_motion_direction_counts(arm: Arm) -> DirectionCounts:
-    """DirectionCounts of an Arm's hand: in how many directions of position and rotation it can move."""
+    """Counts of directions (DirectionCounts) in which an Arm's hand can move.
+
+    Of position and of rotation.
+    """
     low, high = arm.limits.T
     J = mechanism.jacobian(np.random.default_rng(0).uniform(low, high, (SAMPLES, len(low))), arm)
     place = int(np.linalg.matrix_rank(J[:, :3], rtol=NONE).max())
@@ -228,9 +232,9 @@ def nearest_joint_values_remaining_error_and_settled(
     directions: DirectionCounts,
     effective: Callable[[Floats], Floats] | None = None,
 ) -> tuple[Floats, Floats, Booleans]:
-    """Joint values q (m, n) nearest to poses (m,) from a start (m, n).
+    """Joint values q (m, n) nearest to poses, the remaining error (m, 6), and settled (m,) bool.
 
-    The rest (m, 6), settled (m,) bool.
+    Nearest to poses (m,) from a start (m, n).
     directions : Directions in which it may be led; rest : tangent on the right, in the hand, that still leads to the
         pose
     effective : q (m, n) -> values (m, n) that the joints really take, q itself by default
@@ -289,7 +293,10 @@ class InverseSolutions(NamedTuple):
 
 
 def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> InverseSolutions:
-    """Numerical InverseSolutions of one pose of an Arm from many starts, those within the limits first."""
+    """Numerical solutions (InverseSolutions) of the inverse of an Arm at one pose.
+
+    From many starts, those within the limits first.
+    """
     n, (low, high) = len(arm.joints), arm.limits.T
     begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))

@@ -14,7 +14,7 @@ from math import atan2, sqrt
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 
 SLACK = 1e-10  # m or rad; by so much a pose may lie beyond the edge of the reach before it counts as unreachable
 SINGULAR = 1e-6  # sine (or share of a length) below which a joint's two readings count as one
@@ -45,10 +45,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @njit(cache=True, error_model="numpy")
 def add_scaled(a: Vector, b: Vector, k: float) -> Vector:
-    """a with b added, scaled.
-
-    It is a + k b.
-    """
+    """Sum a + k b of a vector and a scaled vector."""
     return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
 
 
@@ -87,8 +84,9 @@ def wrap_angle(t: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float) -> tuple[float, float, float]:
-    """Both angles of the equation a cos x + b sin x = c, from r - c and r + c.
+    """Both angles x of the equation a cos x + b sin x = c.
 
+    From r - c and r + c.
     less and more come in the form that keeps their digits where they are small; a negative one is the caller's to
     refuse.
 
@@ -104,7 +102,7 @@ def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float
 def both_first_joint_angles_for_point_level(
     point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
 ) -> tuple[float, float, float, float, float]:
-    """Both shoulder angles (joint 1) that bring the point to `level` along axis 2.
+    """Both angles of the first joint that bring a point to a level along axis 2.
 
     With spread and distances.
     """
@@ -151,7 +149,7 @@ def both_elbow_points(
 
 @njit(cache=True, error_model="numpy")
 def vector_from_axis_components(v: Vector, ex: Vector, ey: Vector, ez: Vector) -> Vector:
-    """Vector with components v along the axes ex, ey, ez of the hand."""
+    """Vector of components v along the axes ex, ey, ez."""
     return add_scaled(add_scaled(add_scaled((0.0, 0.0, 0.0), ex, v[0]), ey, v[1]), ez, v[2])
 
 

@@ -37,7 +37,7 @@ LEAST_REACH = 0.05  # m, which that distance counts as at least
 
 
 def nominal_mechanism_of_kinematics_file(file: str, source: str) -> FileMechanism:
-    """The mechanism of a kinematics file as its owner believes it.
+    """The nominal mechanism of a kinematics file.
 
     Raises FileError for a file that cannot be used.
     """
@@ -91,8 +91,9 @@ def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | No
 def solve_poses_by_newton_with_file_inverse(
     start: Floats, values: Floats, mechanism: FileMechanism, observe: Observe | None = None
 ) -> Floats:
-    """Poses (n, 4, 4) of axis values (n, axes) by Newton from a start (n, 4, 4), by the file's inverse alone.
+    """Solve poses (n, 4, 4) of axis values (n, axes) by Newton with the file's inverse alone.
 
+    From a start (n, 4, 4).
     observe : called with each step's (poses (n, 4, 4), change of the axes with the freedoms (n, axes, freedoms), error
         (n, axes), step (n, freedoms)), or None
     Raises NotConverged as `forward`
@@ -192,7 +193,7 @@ def _require_solved(left: Floats, values: Floats, mechanism: FileMechanism) -> N
 def nearest_reachable_poses_of_kinematics_file(
     T_base_platform: RigidTransform, mechanism: FileMechanism
 ) -> RigidTransform:
-    """Nearest reachable poses (...) of a platform with few freedoms.
+    """Nearest poses (...) that the platform of a kinematics file can reach.
 
     The nearest that the platform can take.
     """
@@ -224,7 +225,10 @@ def jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Float
 
 
 def fitted_parameter_indices(mechanism: FileMechanism) -> Integers:
-    """Index (k,) of the parameters whose tolerance is not 0, which a calibration fits."""
+    """Indices (k,) of the parameters that a calibration fits.
+
+    Their tolerance is not 0.
+    """
     return np.flatnonzero(mechanism.stated.tolerances)
 
 
@@ -256,7 +260,10 @@ def with_random_parameters(mechanism: FileMechanism, rng: np.random.Generator, s
 
 
 def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Derivative (..., axes, k) of minus the axis values by the scaled parameters, at poses (...)."""
+    """Jacobian (..., axes, k) of the loop closure by the scaled parameters, at poses (...).
+
+    It is that of minus the axis values.
+    """
     poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
     free = fitted_parameter_indices(mechanism)
     out = -axis_change_columns_by_parameter(mechanism.stated, poses, mechanism.parameters, free)
@@ -299,7 +306,7 @@ def home_values(mechanism: FileMechanism) -> Floats:
 
 
 def axis_forces_and_torques(T: RigidTransform, values: Floats, mechanism: FileMechanism, wrench: Floats) -> Floats:
-    """Axis loads (n, axes) N or N m that hold a wrench.
+    """Axis forces and torques (n, axes) N or N m that hold a wrench.
 
     A wrench (n, 6) on the platform. Guides take the rest.
     """
@@ -317,7 +324,10 @@ def link_weight_loads(T: RigidTransform, values: Floats, mechanism: FileMechanis
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, mechanism: FileMechanism, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, axes) and sway (n, 6) by the growth of axes by shares (n, axes): of slides; of joints none."""
+    """Axis deviation (n, axes) and sway (n, 6) by growth of members, which are slides.
+
+    They grow by shares (n, axes); joints do not.
+    """
     slides = np.array([axis.unit == "m" for axis in mechanism.stated.axes])
     return share * values * slides, np.zeros((len(share), 6))
 
@@ -344,5 +354,5 @@ def link_points(values: Floats, mechanism: FileMechanism) -> None:
 
 
 def strut_ends(T: RigidTransform, mechanism: FileMechanism) -> None:
-    """Strut ends: None, since the file states no struts."""
+    """Strut ends, which a kinematics file states none of: None."""
     return None

@@ -1,5 +1,6 @@
-"""Steps of the forward kinematics of a hexapod or of a kinematics file: each iteration's matrix, unknowns and pose.
+"""Steps of the forward solution of a mechanism.
 
+Of a hexapod or of a kinematics file: each iteration's matrix, unknowns and pose.
 The scheme is the same for all: from a start, the linear equations B x = b are set up and solved, what x says is moved,
 until x is small. b is what the axes miss, B their change with the pose, x the move of the platform.
 """
@@ -30,7 +31,7 @@ class SolutionStep:
 
 
 def unknowns(mechanism: Hexapod | FileMechanism) -> tuple[tuple[str, ...], str]:
-    """(names of the unknowns x, frame along whose axes they are, "platform" or "base")."""
+    """Names of the unknowns x of a forward solution, and their frame, "platform" or "base"."""
     if isinstance(mechanism, Hexapod):
         return FREEDOMS, "platform"
     return tuple(FREEDOMS[k] for k in mechanism.pose_coordinates), "base"
@@ -39,8 +40,9 @@ def unknowns(mechanism: Hexapod | FileMechanism) -> tuple[tuple[str, ...], str]:
 def forward_solution_steps(
     values: Floats, mechanism: Mechanism
 ) -> tuple[Hexapod | FileMechanism, tuple[SolutionStep, ...]]:
-    """(the mechanism, steps from home to the pose of axis values (axes,) m or rad), as far as they went.
+    """Steps of the forward solution for axis values (axes,) m or rad, and the mechanism.
 
+    From home to their pose, as far as they went.
     A hexapod's are those with pivots, which stand behind the compiled ones. A kinematics file's solve its `inverse`,
     also where it states a `forward`.
     Raises RigError for a kind whose pose follows from its axes by a formula, so that nothing is iterated

@@ -128,7 +128,7 @@ def home_values(hexapod: Hexapod) -> Floats:
 
 
 def axis_forces_and_torques(T: RigidTransform, lengths: Floats, hexapod: Hexapod, wrench: Floats) -> Floats:
-    """Axis loads (n, struts) N of the struts that hold a wrench.
+    """Axis forces (n, struts) N of the struts that hold a wrench.
 
     Pushing, with a wrench (n, 6) on the platform: J^T f + w = 0. Of more than six struts the least squares of all
     loads, as struts of one stiffness share them, beyond what they bear against each other; followers bear none.
@@ -142,14 +142,19 @@ def axis_forces_and_torques(T: RigidTransform, lengths: Floats, hexapod: Hexapod
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, hexapod: Hexapod, gravity: Floats) -> Floats:
-    """Empty loads (n, struts, 0), as a hexapod has no arm links whose weight its struts bear."""
+    """Loads of link weight (n, struts, 0), which a hexapod has none of.
+
+    It has no arm links whose weight its struts bear.
+    """
     return np.zeros((*np.shape(lengths), 0))
 
 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, lengths: Floats, hexapod: Hexapod, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, struts) m and sway (n, 6) by the growth of struts by shares (n, struts) of their length.
+    """Axis deviation (n, struts) m and sway (n, 6) by growth of members, which are struts.
+
+    They grow by shares (n, struts) of their length.
 
     No sway.
     """
@@ -173,7 +178,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """Link points of a hexapod: none.
+    """Link points, which a hexapod has none of.
 
     For lengths (n, struts) m; it has no arm links to draw.
     """
@@ -266,7 +271,7 @@ def _least(hexapod: Hexapod, move: Floats, size: float) -> float:
 
 @lru_cache(16)  # effects ask it of the same poses again and again
 def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> Floats:
-    """Twist (..., struts) rad of each strut's platform-side cardan against its base-side one, about the strut.
+    """Twist (..., struts) rad of each cardan about its strut, platform side against base side.
 
     A cardan's first axis lies in its plate, tangential, (-y, x, 0) of the joint in the plate's frame; its second is
     perpendicular to the first and to the strut. Right-handed about u, from base to platform.
@@ -285,7 +290,9 @@ def cardan_twist_angles_about_struts(T: RigidTransform, mechanism: Hexapod) -> F
 
 
 def cardan_plate_axes(joints: Floats) -> Floats:
-    """First axes (struts, 3) of the cardans at joints (struts, 3) m of a plate, in its frame.
+    """Axes (struts, 3) of cardans that lie in a plate.
+
+    The first axes of those at joints (struts, 3) m of the plate, in its frame.
 
     Tangential, as long as the joint is off its middle.
     """

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.compute.worker_processes import worker_count
 
 WIDTH = 8  # lanes: doubles of a 512-bit register, two registers of 256 bits
@@ -37,7 +37,10 @@ class StrutGeometry(NamedTuple):
 
 
 def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread: int = EACH) -> None:
-    """Run kernel(slice) over `count` items in slices, in threads on all cores (OMP_NUM_THREADS at most)."""
+    """Run a kernel in threads over slices of `count` items.
+
+    Threads are on all cores (OMP_NUM_THREADS at most).
+    """
     threads = min(worker_count(), count // items_per_thread)
     if threads < 2:
         kernel(slice(0, count))
@@ -53,7 +56,7 @@ def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_strut_lengths_of_poses(matrices: Floats, base: Floats, platform: Floats, zeros: Floats, out: Floats) -> None:
-    """Compute commanded strut lengths, out (n, struts) m, of poses, matrices (n, 4, 4)."""
+    """Fill `out` (n, struts) m with the commanded strut lengths of poses, matrices (n, 4, 4)."""
     for n in range(len(matrices)):
         for i in range(len(base)):
             total = 0.0
@@ -158,8 +161,9 @@ def fill_poses_of_strut_lengths_by_newton(
     residual: Floats,
     singularity_crossed: Floats,
 ) -> None:
-    """Solve poses, matrices (n, 4, 4), for strut lengths (n, 6) m, zeros included, by Newton from a start.
+    """Fill `matrices` (n, 4, 4) with the poses of strut lengths (n, 6) m, by Newton from a start.
 
+    Lengths include the zeros.
     start : quaternions (n or 1, 4), real part first, and positions (n or 1, 3) m; tolerance : m, of a strut
     residual : (n,) m, filled with what is left; singularity_crossed : (n,) bool, whether the Jacobian's determinant
         changed its sign on the way

@@ -1,5 +1,6 @@
-"""Newton's steps to the pose of a hexapod's strut lengths, where the compiled ones do not lead or struts are more.
+"""Newton and least-squares forward solution of hexapods.
 
+Where the compiled steps do not lead, or struts are more.
 Each step may be observed, so that a solution can be followed.
 """
 
@@ -41,8 +42,9 @@ def strut_lengths_and_jacobian(R: Floats, t: Floats, hexapod: Hexapod) -> tuple[
 def solve_poses_in_place_by_pivoted_newton(
     matrix: Floats, lengths: Floats, hexapod: Hexapod, observe: Observe | None = None
 ) -> Floats:
-    """Move matrix (n, 4, 4) in place until its strut lengths are those wanted (n, 6), zeros included.
+    """Solve poses, matrix (n, 4, 4), in place by Newton for strut lengths (n, 6).
 
+    Each solve pivots; lengths include the zeros.
     observe : called with each step's (matrix (n, 4, 4), Jacobian (n, 6, 6), error (n, 6), step (n, 6)), or None
     Returns the residual (n,) m
     """
@@ -69,8 +71,10 @@ def solve_poses_in_place_by_pivoted_newton(
 def poses_of_redundant_lengths_by_gauss_newton(
     commanded: Floats, lengths: Floats, guess: RigidTransform, hexapod: Hexapod, observe: Observe | None = None
 ) -> Floats:
-    """(n, 4, 4) poses at which more than six struts of one stiffness balance, for lengths (n, struts) m: Gauss and
-    Newton's steps, whose projection on the pose vanishes there. commanded : (..., struts) m, for messages
+    """Poses (n, 4, 4) of the lengths (n, struts) m of redundant struts, by Gauss-Newton.
+
+    More than six struts of one stiffness balance there: the steps' projection on the pose vanishes. commanded : (...,
+    struts) m, for messages
     observe : as of `solve_poses_in_place_by_pivoted_newton`
     Raises NotConverged for lengths that hold no pose near the guess
     """
@@ -125,8 +129,9 @@ def _move_by_limited_steps(
 def require_converged_forward_solution(
     matrix: Floats, start: Floats, residual: Floats, lengths: Floats, hexapod: Hexapod, doubtful: Integers
 ) -> None:
-    """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a
-    singularity.
+    """Raise NotConverged for poses (n, 4, 4) to which a forward solution did not converge.
+
+    Or, of those doubtful (k,), for those solved beyond a singularity.
     """
     failed = np.flatnonzero(residual > 10 * TOLERANCE)
     if len(failed):

@@ -16,11 +16,11 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Stage
-from rig.model.mechanisms import arm, hexapod, two_strut_plane
+from rig.model.mechanisms import arm, hexapod, two_strut_planar_mechanism
 from rig.model.pose import pose_difference, skew
 
 AXIS, UNIT = "axis", "m"
-KINDS: dict[str, ModuleType] = {"hexapod": hexapod, "planar2": two_strut_plane, "arm": arm}
+KINDS: dict[str, ModuleType] = {"hexapod": hexapod, "planar2": two_strut_planar_mechanism, "arm": arm}
 TOLERANCE = 1e-12  # m and rad
 GOOD = 1e-10  # m and rad; what counts as solved
 MAX_ITERATIONS = 60
@@ -66,7 +66,10 @@ def forward(values: Floats, chain: Chain, guess: RigidTransform | None = None) -
 
 
 def stage_tangent_maps(transforms: list[RigidTransform]) -> list[Floats]:
-    """Maps (..., 6, 6) of each stage's tangent to the whole chain's tangent, from the stages' transforms."""
+    """Maps (..., 6, 6) of each stage's tangent to the chain's tangent.
+
+    From the stages' transforms.
+    """
     after, out = np.broadcast_to(np.eye(4), transforms[0].as_matrix().shape), []
     for T in reversed(transforms):
         R, t = after[..., :3, :3], after[..., :3, 3]
@@ -93,7 +96,7 @@ def _stage_jacobian(values: Floats, T: RigidTransform, stage: Stage) -> Floats:
         return arm.jacobian(values, stage)
     if isinstance(stage, Hexapod):
         return cast(Floats, np.linalg.inv(hexapod.jacobian(T, stage)))
-    return cast(Floats, np.linalg.pinv(two_strut_plane.jacobian(T, stage)))
+    return cast(Floats, np.linalg.pinv(two_strut_planar_mechanism.jacobian(T, stage)))
 
 
 def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None = None) -> Floats:
@@ -172,7 +175,7 @@ def home_values(chain: Chain) -> Floats:
 
 
 def axis_forces_and_torques(T: RigidTransform, values: Floats, chain: Chain, wrench: Floats) -> Floats:
-    """Axis loads (n, axes of all) N or N m that hold a wrench.
+    """Axis forces and torques (n, axes of all) N or N m that hold a wrench.
 
     Those that hold a wrench (n, 6) on the platform, each alone.
     """
@@ -180,7 +183,7 @@ def axis_forces_and_torques(T: RigidTransform, values: Floats, chain: Chain, wre
 
 
 def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: Floats) -> Floats:
-    """Empty loads (n, axes of all, 0).
+    """Loads of link weight (n, axes of all, 0), which a chain has none of.
 
     The weight of a chain's stages is not modelled.
     """
@@ -190,7 +193,7 @@ def link_weight_loads(T: RigidTransform, values: Floats, chain: Chain, gravity: 
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, values: Floats, chain: Chain, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Axis deviation and sway by growth of the stages' members.
+    """Axis deviation and sway by growth of members, which are the stages'.
 
     Deviation (n, axes of all) and sway (n, 6), by shares (n, axes of all) of the growth.
     """
@@ -219,7 +222,7 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Fl
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """Link points of a chain: none.
+    """Link points, which a chain has none of.
 
     At values (n, axes); a chain is drawn without links.
     """
@@ -227,5 +230,5 @@ def link_points(values: Floats, chain: Chain) -> None:
 
 
 def strut_ends(T: RigidTransform, chain: Chain) -> None:
-    """Strut ends: None, since a chain is drawn without struts."""
+    """Strut ends, which a chain is drawn without: None."""
     return None

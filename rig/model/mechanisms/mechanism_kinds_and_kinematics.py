@@ -17,7 +17,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2
-from rig.model.mechanisms import arm, file_mechanism, hexapod, mechanism_chain, two_strut_plane
+from rig.model.mechanisms import arm, file_mechanism, hexapod, mechanism_chain, two_strut_planar_mechanism
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
@@ -30,7 +30,7 @@ Commanded = Hexapod | Planar2 | FileMechanism | Arm | Chain  # what has axes
 
 
 def has_struts(mechanism: Mechanism) -> TypeIs[Struts]:
-    """Whether a mechanism is driven by struts as a whole."""
+    """Whether a mechanism has struts that drive it as a whole."""
     return mechanism.strut_joints is not None
 
 
@@ -51,7 +51,7 @@ def is_hexapod(mechanism: Mechanism) -> TypeIs[Hexapod]:
 
 
 def has_links(mechanism: Mechanism) -> TypeIs[Arm]:
-    """Whether a mechanism is made of links, one joint after the other."""
+    """Whether a mechanism has links, one joint after the other."""
     return mechanism.link_rows is not None
 
 
@@ -94,7 +94,7 @@ def require_hexapod_or_redundant_hexapod(
 
 
 def is_redundant(mechanism: Mechanism) -> TypeIs[Hexapod]:
-    """Whether a mechanism is a hexapod on more than six struts, whose lengths no longer are independent."""
+    """Whether a mechanism is a redundant hexapod, on more than six struts."""
     return is_hexapod(mechanism) and len(mechanism.axes) > 6
 
 
@@ -132,7 +132,7 @@ def require_chain(mechanism: Mechanism) -> Chain:
 
 
 def target_bodies(mechanism: Mechanism) -> tuple[str, ...]:
-    """Names of a mechanism's bodies that may carry targets.
+    """Names of the bodies of a mechanism that may carry targets.
 
     Platform, base, and a chain's lower stages.
     """
@@ -230,7 +230,7 @@ class MechanismKinematics(Protocol[M]):
 
 ALL: dict[str, MechanismKinematics[Any]] = {
     "hexapod": hexapod,
-    "planar2": two_strut_plane,
+    "planar2": two_strut_planar_mechanism,
     "arm": arm,
     "chain": mechanism_chain,
     "file": file_mechanism,
@@ -294,7 +294,7 @@ def axis_units(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def with_followers(values: Floats, mechanism: Commanded) -> Floats:
-    """Commanded values (..., axes) m or rad with those of joints that follow others as their leaders have them."""
+    """Commanded values (..., axes) m or rad with those of followers as their leaders have them."""
     out, at = np.array(values, float), 0
     for stage in mechanism.stages:
         if has_links(stage):
@@ -365,16 +365,19 @@ def mechanism_with_parameters(mechanism: S, p: Floats) -> S:
 
 
 def strut_or_axis_jacobian_by_pose(T_base_platform: RigidTransform, mechanism: Parallel) -> Floats:
-    """Jacobian (..., axes, 6) of the strut lengths, or the axes, m/m and m/rad, by the poses' tangents on the right."""
+    """Jacobian (..., axes, 6) of the struts' lengths, or the axes, by the pose.
+
+    In m/m and m/rad, by the poses' tangents on the right.
+    """
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Hexapod):
         return hexapod.jacobian(T_base_platform, mechanism)
-    return two_strut_plane.jacobian(T_base_platform, mechanism)
+    return two_strut_planar_mechanism.jacobian(T_base_platform, mechanism)
 
 
 def nearest_reachable_poses(T_base_platform: RigidTransform, mechanism: Mechanism) -> RigidTransform:
-    """The poses (...) that the platform of a mechanism can take nearest to poses T_base_platform (...)."""
+    """Nearest poses (...) to poses T_base_platform (...) that a mechanism's platform can reach."""
     if isinstance(mechanism, Planar2):
         return RigidTransform.from_translation(T_base_platform.translation * [1, 1, 0])
     if isinstance(mechanism, FileMechanism):
@@ -390,7 +393,7 @@ def loop_closure_parameter_jacobian(T_base_platform: RigidTransform, mechanism: 
     if isinstance(mechanism, FileMechanism):
         return file_mechanism.loop_closure_parameter_jacobian(T_base_platform, mechanism)
     if isinstance(mechanism, Planar2):
-        return two_strut_plane.two_strut_loop_jacobian(T_base_platform, mechanism)
+        return two_strut_planar_mechanism.two_strut_loop_jacobian(T_base_platform, mechanism)
     matrix = T_base_platform.as_matrix()
     R = matrix[..., :3, :3]
     struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints

@@ -34,7 +34,10 @@ INWARDS = 0.8  # by which lengths that leave the range are brought nearer to its
 
 
 def with_follower_struts_of(mechanism: C, recorded_mechanism: Mechanism | None) -> C:
-    """The mechanism with the follower struts of the recorded mechanism, without any where that is None."""
+    """The mechanism with the follower struts of the recorded mechanism.
+
+    Without any where that is None.
+    """
     if not is_redundant(mechanism):
         return mechanism
     return replace(
@@ -46,7 +49,10 @@ def with_follower_struts_of(mechanism: C, recorded_mechanism: Mechanism | None) 
 
 
 def hexapod_of_actuated_struts(hexapod: Hexapod) -> Hexapod:
-    """The hexapod of the six struts that are driven, without its followers."""
+    """The hexapod of the actuated struts alone.
+
+    Six that are driven, without its followers.
+    """
     driven = actuated_strut_numbers(hexapod)
     return Hexapod(
         hexapod.base_joints[driven],
@@ -63,7 +69,7 @@ def actuated_strut_numbers(hexapod: Hexapod) -> Integers:
 
 
 def nearest_compatible_strut_lengths(lengths: Floats, hexapod: Hexapod, middle_range_share: float = 1.0) -> Floats:
-    """Lengths (n, struts) m near given ones that close on one pose.
+    """Nearest lengths (n, struts) m to given ones that are compatible: they close on one pose.
 
     They are within the middle share `middle_range_share` of the strut range.
     Of six struts the lengths themselves. Of more, six degrees of freedom are free and the other lengths follow; those
@@ -91,8 +97,9 @@ def nearest_compatible_strut_lengths(lengths: Floats, hexapod: Hexapod, middle_r
 
 
 def incompatible_strut_length_component(T_base_platform: RigidTransform, lengths: Floats, hexapod: Hexapod) -> Floats:
-    """Part (n, struts) m of commanded lengths, at the poses (n,) that they hold, that moves no platform.
+    """Incompatible part (n, struts) m of commanded lengths, at the poses (n,) that they hold.
 
+    It moves no platform.
     It is what struts press and pull against each other: times the stiffness of a strut, its internal force (N). The
     range of the Jacobian moves the platform, and the space perpendicular to it is of struts' forces that vanish in sum.
     Of six struts it is zero.
@@ -149,8 +156,9 @@ class LegClosures:
 def combine_leg_sets(
     leg_sets: list[tuple[str, Hexapod | MeasuringLimbs, Floats, Floats]], home_pose: RigidTransform
 ) -> RedundantLegs:
-    """Combine leg sets into RedundantLegs: each set (letter, geometry, sigma, covariance), about one home pose.
+    """Combine leg sets into RedundantLegs, about one home pose.
 
+    Each set is (letter, geometry, sigma, covariance).
     home_pose : T_base_platform, about which they are looked for
     """
     blocks, names, zeros = [], list[str](), []
@@ -177,7 +185,7 @@ def combine_leg_sets(
 
 
 def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransform) -> tuple[Floats, Floats, Floats]:
-    """Leg lengths (n, k) m, and their Jacobians with pose and base joints.
+    """Leg lengths (n, k) m, and their Jacobians by pose and base joints.
 
     Jacobians (n, k, 6) with the pose, and (n, k, 3) with the base joints.
     """
@@ -191,7 +199,7 @@ def leg_lengths_and_pose_and_base_jacobians(legs: RedundantLegs, T: RigidTransfo
 
 
 def leg_parameter_jacobians(legs: RedundantLegs, T: RigidTransform) -> Floats:
-    """Jacobians (n, k, 7 k) of leg lengths with each leg's parameters.
+    """Jacobians (n, k, 7 k) of leg lengths by the legs' parameters.
 
     Base joint, platform joint, zero.
     """
@@ -210,8 +218,9 @@ def _slope(to_base: Floats, T: RigidTransform) -> Floats:
 
 
 def best_six_leg_indices(legs: RedundantLegs, T: RigidTransform) -> Integers:
-    """Indices (6,) of the six legs that determine poses T (n,) best in the worst direction and pose.
+    """Indices (6,) of the best six legs for poses T (n,).
 
+    They determine the poses best in the worst direction and pose.
     Raises RigError where none of them holds the platform
     """
     size = float(np.linalg.norm(legs.platform - legs.platform.mean(axis=0), axis=1).mean())
@@ -228,7 +237,7 @@ def best_six_leg_indices(legs: RedundantLegs, T: RigidTransform) -> Integers:
 
 
 def leg_closures(legs: RedundantLegs, lengths: Floats, chosen_six: Integers) -> LegClosures:
-    """LegClosures of leg lengths (n, k) m.
+    """Closure errors (LegClosures) of legs with lengths (n, k) m.
 
     Errors of the other legs at poses from the six chosen ones.
     Raises RigError where the six leave the platform loose at a pose

@@ -1,5 +1,6 @@
-"""Hexapod layouts and camera placement for a new rig.toml, from a few dimensions.
+"""Hexapod layouts and camera placement for a new rig.toml.
 
+From a few dimensions.
 Also of two struts; cameras and cubes are placed in layouts.
 """
 
@@ -49,7 +50,9 @@ def require_possible_layout(radius: float, cameras: int, cubes: int, dictionary:
 
 
 def camera_ring_toml_lines(centre: Floats, reach: float, count: int, width: int, height: int) -> list[str]:
-    """rig.toml lines of a ring of cameras evenly around a centre (3,) m, with a field of view of `reach` m.
+    """rig.toml lines of a ring of cameras around a centre (3,) m.
+
+    They are even, with a field of view of `reach` m.
 
     width, height : px
     """
@@ -128,7 +131,10 @@ def cube_toml_lines(
 
 
 def cube_ring_toml_lines(cubes: int, dictionary: str, platform_ring: CubeRing, base_ring: CubeRing) -> list[str]:
-    """rig.toml lines of rings of cubes on the platform and on the base, each face with its own marker id."""
+    """rig.toml lines of a ring of cubes.
+
+    Rings on the platform and on the base, each face with its own marker id.
+    """
     lines = []
     for k, (body, ring) in enumerate((("platform", platform_ring), ("base", base_ring))):
         for i in range(cubes):

@@ -85,8 +85,9 @@ def load_shipped_arm_design(path_or_name: str) -> Design:
 
 
 def shipped_arm_rig_toml(name: str) -> str:
-    """rig.toml text of a shipped arm measured by an instrument.
+    """rig.toml text of a shipped arm.
 
+    It is measured by an instrument.
     Raises RigError for an unknown name.
     """
     if name not in shipped_arm_names():

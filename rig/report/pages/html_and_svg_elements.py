@@ -20,8 +20,9 @@ SIGNS = {  # of a terminal, as patterns, and of print
 
 
 def escape_html(text: str) -> str:
-    """Escape text for HTML, with the signs of print for those of a terminal.
+    """Escape text for HTML.
 
+    The signs of print stand for those of a terminal.
     Such signs are μm, →, ±, ≤, ≥, ².
     """
     for pattern, sign in SIGNS.items():
@@ -34,18 +35,26 @@ DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
 SHOWN = 12  # digits of a digest
 
 
-def with_minus_signs(text: str) -> str:
-    """Text of figures with the sign of print for minus."""
+def text_with_typographic_minus_signs(text: str) -> str:
+    """Text with typographic minus signs.
+
+    Those of figures.
+    """
     return MINUS.sub("−", text)
 
 
 def text_width(text: str, size: float) -> float:
-    """Width of text on a figure, an upper bound, in the unit of `size`, its letters' height."""
+    """Width of text on a figure, an upper bound.
+
+    In the unit of `size`, its letters' height.
+    """
     return size * sum(NARROW.get(letter, LETTER) for letter in text)
 
 
 def wrap_text(text: str, size: float, room: float) -> list[str]:
-    """Wrap text into lines no wider than room, a single longer word excepted.
+    """Wrap text into lines no wider than room.
+
+    A single longer word excepted.
 
     size, room : as in `text_width`.
     """
@@ -65,8 +74,9 @@ SMALL = 12.5  # of small ones
 
 
 def svg_figure(height: int, title: str, parts: Sequence[str], values: str = "") -> str:
-    """SVG figure of parts, WIDTH wide.
+    """SVG figure of parts.
 
+    It is WIDTH wide.
     title : for screen readers; values : attributes with a point's values
     """
     return (
@@ -82,14 +92,14 @@ def svg_text(x: float, y: float, words: str, anchor: str = "start", style: str =
     anchor : start, middle or end; style : a class of figure.css
     """
     named = f' class="{style}"' if style else ""
-    shown = with_minus_signs(words) if re.match(r"-\.?\d", words) else words
+    shown = text_with_typographic_minus_signs(words) if re.match(r"-\.?\d", words) else words
     return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape_html(shown)}</text>'
 
 
 def svg_text_or_empty_if_too_large(box: tuple[float, float, float, float], words: str, style: str = "") -> str:
-    """SVG text within a box, centred.
+    """SVG text centred in a box, "" where it is too large for it.
 
-    "" where it does not fit.
+
     box : (left, top, width, height)
     """
     x, y, across, up = box
@@ -107,7 +117,7 @@ def svg_tooltip(words: str) -> str:
 
 
 def round_ticks(low: float, high: float, most: int = 5) -> list[float]:
-    """Ticks at round numbers within low .. high, `most` at the most.
+    """Round numbers for ticks within low .. high, `most` at the most.
 
     Raises ValueError for an empty range.
     """
@@ -134,9 +144,9 @@ def inline_html(line: str) -> str:
 
 
 def capitalise_unless_name_or_sign(line: str) -> str:
-    """Line with its first letter capitalised.
+    """Line with its first letter capitalised, unless its first word is a name or a sign.
 
-    Unless its first word is a name, a sign or already capitalised.
+    Or already capitalised.
     """
     first, *rest = line.split(" ", 1)
     return line[:1].upper() + line[1:] if rest and first.replace("-", "a").isalpha() and first.islower() else line
@@ -164,12 +174,17 @@ def paragraph_html(line: str) -> str:
 
 
 def note_html(line: str) -> str:
-    """HTML of a note in smaller type, which explains a figure or table."""
+    """HTML of a note.
+
+    In smaller type; it explains a figure or table.
+    """
     return f'<p class="note">{inline_html(line)}</p>'
 
 
 def captioned_html(figures: str, caption: str) -> str:
-    """HTML of a figure, or of several side by side, with a caption below.
+    """HTML of figures with a caption.
+
+    Of one, or of several side by side, with the caption below.
 
     Pages number them.
     """
@@ -177,18 +192,26 @@ def captioned_html(figures: str, caption: str) -> str:
 
 
 def split_text_at_semicolons(text: str) -> list[str]:
-    """Clauses of a sentence at its semicolons, those within brackets excepted."""
+    """Split a text at its semicolons.
+
+    Those within brackets excepted.
+    """
     return re.split(r"; (?![^()]*\))", text)
 
 
 def list_html(lines: Iterable[str], ordered: bool = False) -> str:
-    """HTML of a list of lines, numbered where ordered."""
+    """HTML of a list of lines.
+
+    Numbered where ordered.
+    """
     tag = "ol" if ordered else "ul"
     return f"<{tag}>" + "".join(f"<li>{inline_html(line)}</li>" for line in lines) + f"</{tag}>"
 
 
 def table_html(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """HTML of a scrolling table.
+    """HTML of a table.
+
+    It scrolls.
 
     header : of its columns, "" for one without; rows : of text and numbers
     """
@@ -217,7 +240,7 @@ def _cell_html(cell: str, text: bool) -> str:
     """A cell's HTML. text : whether its column is of text; in others minus signs are those of print. Of a SHA-256 the
     first digits are shown, all of them in its title.
     """
-    shown = escape_html(cell if text else with_minus_signs(cell))
+    shown = escape_html(cell if text else text_with_typographic_minus_signs(cell))
     return DIGEST.sub(lambda found: f'<code title="SHA-256 {found[0]}">{found[0][:SHOWN]}</code>', shown)
 
 
@@ -235,7 +258,7 @@ def _style(cell: str, text: bool, long: int) -> str:
 
 
 def collapsible_section_html(summary: str, *parts: str) -> str:
-    """HTML of a folding section.
+    """HTML of a collapsible section.
 
     A summary line, and parts shown when it is opened.
     """

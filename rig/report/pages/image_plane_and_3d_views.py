@@ -185,7 +185,10 @@ class Scene:
 
 
 def view_3d_html(scene: Scene) -> list[str]:
-    """HTML of the 3-D view of a scene, once in a page, which needs `view_3d_scripts_if_needed`."""
+    """HTML of the 3-D view of a scene.
+
+    Once in a page, which needs `view_3d_scripts_if_needed`.
+    """
     chosen = np.arange(0, len(scene.frames), max(-(-len(scene.frames) // MOST_FRAMES), 1))
     data = json.dumps(_tree(scene, chosen), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     legend = [

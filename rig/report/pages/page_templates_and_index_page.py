@@ -67,7 +67,10 @@ class Page:
 
 
 def write_page(path: Path | str, page: Page) -> None:
-    """Write a Page as a self-contained HTML file."""
+    """Write a Page as an HTML file.
+
+    It is self-contained.
+    """
     write_text(path, page_html(page))
 
 
@@ -104,10 +107,7 @@ def page_html(page: Page) -> str:
 
 
 def read_page_stylesheet_or_script(name: str) -> str:
-    """Read an asset of pages.
-
-    The text of a stylesheet or script.
-    """
+    """Read a stylesheet or script of pages by its name."""
     return resources.files("rig.report.pages").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -115,8 +115,9 @@ BETWEEN, EDGE, LINE = 10, 6, 18  # units between figures, around them, and of a 
 
 
 def standalone_svg(title: str, words: str, figures: Sequence[str]) -> str:
-    """Standalone SVG text of figures, one below the other.
+    """Standalone SVG of figures.
 
+    They are one below the other.
     title : for those who cannot see it; words : above them. Raises ValueError for what is no figure
     """
     lines = wrap_text(words, TEXT, WIDTH)
@@ -174,7 +175,7 @@ class PageSummary:
 
 
 def read_page_summary(path: Path) -> PageSummary | None:
-    """Summary of a page.
+    """Read the summary of a page.
 
     Kind, title, verdict, later refutations; None for a file that is no page of rig.
     Raises FileError for a list of refuted results that is none
@@ -196,15 +197,19 @@ def read_page_summary(path: Path) -> PageSummary | None:
 
 
 def list_pages_below_folder(folder: Path) -> list[PageSummary]:
-    """List the pages in a folder and below it, the latest first, indices excluded."""
+    """List the pages in a folder and below it.
+
+    The latest first, indices excluded.
+    """
     places = [path for depth in range(DEPTH) for path in sorted(folder.glob("*/" * depth + "*.html"))]
     known = [found for path in places if (found := read_page_summary(path)) is not None and found.kind != KIND]
     return sorted(known, key=lambda found: -found.changed)
 
 
 def write_index_page(path: Path, folder: Path) -> None:
-    """Write the index page of a project: its latest state, then all pages and files of a folder, stage by stage.
+    """Write the index page of a folder.
 
+    A project's latest state, then all pages and files, stage by stage.
     path : where it is written before it moves into that folder.
     """
     pages, files = list_pages_below_folder(folder), list_project_files(folder, DEPTH)

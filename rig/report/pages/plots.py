@@ -76,8 +76,9 @@ def axis_scale_of_values(
     limits: tuple[float, float] | None = None,
     are_whole_numbers: bool = False,
 ) -> Scale:
-    """Scale of an axis for all finite values (n,).
+    """Scale of an axis for values (n,).
 
+    For all finite ones.
     ends_on_figure : (2,); limits : replace the values' own; are_whole_numbers : whether values are whole numbers
     """
     known = np.asarray(values, float).ravel()
@@ -117,7 +118,10 @@ class Series:
 
 
 def figures_side_by_side_html(*figures: str) -> str:
-    """HTML of figures side by side where there is room, else below each other."""
+    """HTML of figures side by side.
+
+    Where there is room, else below each other.
+    """
     return '<div class="panels">' + "".join(figures) + "</div>"
 
 

@@ -1,5 +1,6 @@
-"""Stages of a project, from its design to its diagnosis: which pages belong to each, and which files have no page.
+"""Stages of a project, and its files without pages.
 
+From its design to its diagnosis: which pages belong to each stage, and which files have no page.
 Designs, recordings and corrected commands are files; all else is known by the page that its command writes.
 """
 
@@ -38,18 +39,22 @@ class ProjectFile(NamedTuple):
 
 
 def stage_of_page_kind(kind: str) -> str:
-    """Stage to which pages of a kind belong."""
+    """Project stage to which a kind of page belongs."""
     return next((stage for stage, kinds in STAGES.items() if kind in kinds), OTHERS)
 
 
 def date_text(changed: float) -> str:
-    """Local date and time of a file, to the minute. changed : s since 1970"""
+    """Text of a file's local date and time.
+
+    To the minute. changed : s since 1970
+    """
     return f"{datetime.fromtimestamp(changed):%Y-%m-%d %H:%M}"
 
 
 def list_project_files(folder: Path, depth: int) -> list[ProjectFile]:
-    """List designs, recordings and corrected commands in a folder and below it.
+    """List project files in a folder and below it.
 
+    Designs, recordings and corrected commands.
     depth : folders down to which they are looked for. A folder with an invalid manifest, or one that is being replaced
     meanwhile, is left out: each command that reads it names what is wrong
     """

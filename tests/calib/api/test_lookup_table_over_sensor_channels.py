@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from calib.api.corrected_command_lookup_table_over_sensor_channels import LookupTable
 from calib.api.export_calibration_or_recording import ExportOptions, export
-from calib.api.lookup_table_over_sensor_channels import LookupTable
 from rig.errors import RigError
 
 

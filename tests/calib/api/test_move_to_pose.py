@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.correction_server_and_move_to_pose import plan_pose_move, require_same_rig
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
-from calib.models.machine_models import model_of
+from calib.models.machine_models import machine_model_of_mechanism
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
@@ -40,7 +40,7 @@ def driven(request, tmp_path):
 def calibration(design):
     """A calibration that finds nothing, of parameters known to a micrometre or microradian."""
     m = design.mechanism
-    count = model_of(m).parameter_count(m)
+    count = machine_model_of_mechanism(m).parameter_count(m)
     correction = Correction(m, m, (None,) * len(m.axes))
     scatter = np.zeros(6 if m.kind == "chain" else len(m.axes))
     return Calibration(correction, np.eye(count) * 1e-12, scatter, (0,), (), None, {"inputs_sha256": {}})

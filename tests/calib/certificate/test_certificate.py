@@ -24,7 +24,7 @@ from calib.certification.uncertainty_budget import rms_position_and_rotation_unc
 from calib.correction.correction import fit_geometry_and_remainder_of_correction
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files import calibration_file
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect

@@ -25,7 +25,7 @@ from calib.certification.pose_error_promise_and_conformity import (
     tolerance_conformity,
 )
 from calib.correction.correction import fit_geometry_and_remainder_of_correction
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.errors import NotConverged

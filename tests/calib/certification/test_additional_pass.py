@@ -20,7 +20,7 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
 )
 from calib.files import calibration_file
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import FileError, NotEnoughData
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference

@@ -9,7 +9,7 @@ import pytest
 
 from calib.certification.held_out_errors import errors_before_and_after_correction
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
-from calib.samples.pose_samples import Samples, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     parse_effect,
     require_existing_place,

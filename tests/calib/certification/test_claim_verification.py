@@ -10,7 +10,7 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import claim_check_result_text
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import adjoint, exp
 from rig.planning import configuration_generators

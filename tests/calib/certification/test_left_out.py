@@ -27,7 +27,7 @@ from calib.certification.strut_deviation_size_sampler_and_possible_machine_error
     draw_strut_deviation_component_sizes,
 )
 from calib.files.calibration_file import calibration_with_provenance
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests import truth

@@ -7,7 +7,7 @@ import pytest
 
 from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
 from calib.online.hexapod_information_filter import Online
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod

@@ -19,7 +19,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
     estimate_tolerance_of_stated_geometry,
 )
 from calib.models.platform.identification import identify_platform
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import pose_difference

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.recording import recording_folder
 from tests.calib import secret_arms
 from tests.calib.models.arm.test_instrument_placement import SIGMA, case

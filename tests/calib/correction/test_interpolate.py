@@ -18,7 +18,7 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
 )
 from calib.correction.interpolation.interpolation_on_grid_of_samples import grid_lattice_of_configurations
 from rig.errors import FileError, NotConverged, RigError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 
 STROKE = (0.4, 0.5)

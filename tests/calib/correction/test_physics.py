@@ -27,7 +27,7 @@ from calib.correction.timed_command_sequence_and_pose_space_correction_map impor
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import Findings
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES

@@ -12,7 +12,7 @@ from calib.diagnosis.problems.arm.detectable_joint_effect_sizes import detectabl
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
 from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize, smallest_of_each_place
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_entries, detectable_line
+from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_entries, detectable_size_line
 from calib.diagnosis.report.diagnosis_json_entries import json_tree
 from rig.effects.framework.machine_motion_and_play import play_operator
 from tests.calib.diagnosis.test_arm_diagnosis import recorded
@@ -82,8 +82,8 @@ def test_each_effect_has_a_row_with_the_places_where_least_and_most_is_needed():
             DetectableSize("compliance", "joint 2", "stiffness", "N m/rad", 1e4, True),
         ]
     )
-    entries = detectable_entries(sizes)
-    assert [detectable_line(one) for one in entries] == [
+    entries = detectable_size_entries(sizes)
+    assert [detectable_size_line(one) for one in entries] == [
         "would have shown: backlash, gap 100 µrad at joint 1, none at joint 2",
         "would have shown: scale error, scale 0.001 at joint 1",
         "would have shown: compliance, stiffness 100000 N m/rad or less at joint 1, 10000 N m/rad or less at joint 2",

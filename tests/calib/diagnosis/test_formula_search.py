@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.formula_search import Library, Quantity, Search
+from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Library, Quantity, Search
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Reduced
 from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import (

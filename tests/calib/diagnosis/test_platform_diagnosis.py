@@ -30,7 +30,7 @@ from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_c
     find_lack_of_fit_by_place,
 )
 from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.arm_hands_effect_places_and_tolerances import Place

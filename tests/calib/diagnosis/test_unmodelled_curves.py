@@ -14,7 +14,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import cal
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Unknown
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import Findings
 from calib.files import calibration_file
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import effects_with_coordinates
 from rig.recording.corner_and_pose_csv_tables import Poses

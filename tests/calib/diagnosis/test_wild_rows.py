@@ -23,7 +23,7 @@ from calib.identify.bounded_least_squares_and_robust_fit import (
 from calib.models.arm.certification import certify_arm as arm_certify
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim as arm_promised
 from calib.models.platform.identification import Loops, identify_platform
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp
 from rig.recording import frame_selection_and_content_hashes, recording_folder

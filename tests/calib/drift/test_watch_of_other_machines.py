@@ -13,7 +13,7 @@ from calib.drift.visit_history import History, add_visit_and_judge_change, read_
 from calib.models.arm.certification import calibrate_arm
 from calib.models.chain.error_model_and_identification import identify_chain
 from calib.models.covariance_parameters import covariance_parameters, pose_scatter_covariance
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning import plan
 from rig.recording import recording_folder

@@ -17,7 +17,7 @@ from calib.models.additional_correction_pass import CorrectionPass, certify_addi
 from calib.models.arm.correction import ArmCorrection
 from calib.models.chain.error_model_and_identification import parameter_jacobian, parameter_tolerances
 from calib.models.machine_models import corrected_pose_covariance
-from calib.samples.pose_samples import Sampled, Samples
+from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.errors import RigError
 from rig.model.mechanisms import mechanism_chain
 from rig.model.pose import exp, pose, pose_difference

@@ -17,7 +17,7 @@ from calib.api.recording_check_combination_and_view import check_and_combine_rec
 from calib.api.verify_and_watch import verify
 from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import predicted_target_poses
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.recording.recording_folder import load_recording

@@ -5,7 +5,7 @@ those given.
 import numpy as np
 import pytest
 
-from calib.models.fewest_configurations import fewest_configurations
+from calib.models.fewest_configurations_for_accuracy import fewest_configurations_for_accuracy
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.identification import identify_platform
 from rig.errors import RigError
@@ -22,7 +22,7 @@ PROMISE = 2e-5  # m
 
 @pytest.fixture(scope="module")
 def found(design):
-    return fewest_configurations(design.mechanism, PROMISE, SIGMAS)
+    return fewest_configurations_for_accuracy(design.mechanism, PROMISE, SIGMAS)
 
 
 def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
@@ -42,23 +42,23 @@ def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
 
 
 def test_what_was_visited_counts(design, found):
-    rest = fewest_configurations(design.mechanism, PROMISE, SIGMAS, found.commands[:10])
+    rest = fewest_configurations_for_accuracy(design.mechanism, PROMISE, SIGMAS, found.commands[:10])
     assert abs(len(rest.commands) + 10 - len(found.commands)) <= 1 and rest.left[0] == pytest.approx(
         found.left[10], rel=1e-6
     )
-    assert len(fewest_configurations(design.mechanism, PROMISE, SIGMAS, found.commands).commands) == 0
+    assert len(fewest_configurations_for_accuracy(design.mechanism, PROMISE, SIGMAS, found.commands).commands) == 0
 
 
 def test_a_promise_that_measuring_cannot_keep_is_refused(design, monkeypatch):
-    monkeypatch.setattr("calib.models.fewest_configurations.MOST", 12)
+    monkeypatch.setattr("calib.models.fewest_configurations_for_accuracy.MOST", 12)
     with pytest.raises(RigError, match="12 poses leave"):
-        fewest_configurations(design.mechanism, 1e-7, SIGMAS)
+        fewest_configurations_for_accuracy(design.mechanism, 1e-7, SIGMAS)
 
 
 @pytest.mark.parametrize("name", ["delta", "planar2", "arm"])
 def test_other_machines_keep_what_is_promised(name, tmp_path):
     machine = design_from_rig_toml.load_design(rig_toml(name, tmp_path)).mechanism
-    found = fewest_configurations(machine, 5e-5, SIGMAS)
+    found = fewest_configurations_for_accuracy(machine, 5e-5, SIGMAS)
     assert found.left[-1] <= 5e-5 < found.left[-2]
     parameters = independent_parameter_names_units_sizes_and_jacobian(machine)
     rows = parameters.jacobian(found.commands) * parameters.size / np.repeat(SIGMAS, 3)[:, None]

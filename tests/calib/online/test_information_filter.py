@@ -14,7 +14,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
 )
 from calib.models.platform.identification import identify_platform
 from calib.online.hexapod_information_filter import Online
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import FileError, RigError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from tests.calib.noisy_samples import OWN, sampled

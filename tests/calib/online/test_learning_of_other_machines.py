@@ -8,7 +8,7 @@ import pytest
 from calib.api.parameter_learning_pose_by_pose_from_recording import LearnOptions, learn
 from calib.models.covariance_parameters import covariance_parameters
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import load_learner
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import RigError
 from rig.model.mechanisms import kinematics_of
 from rig.model.pose import pose_difference

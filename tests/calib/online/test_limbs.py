@@ -13,7 +13,7 @@ from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.hexapod_information_filter import Online
 from calib.online.measuring_limb_poses_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp, pose_difference

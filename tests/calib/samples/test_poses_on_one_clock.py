@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,
 )
-from calib.samples.pose_samples import sample_recording
 from rig.recording.recording_folder import load_recording
 from tests.moving_run import write_moving_recording
 

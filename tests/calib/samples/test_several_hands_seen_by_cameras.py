@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import synthetic
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import RigError
 from rig.model.pose import pose_difference
 from rig.recording.frame_selection_and_content_hashes import select_hand

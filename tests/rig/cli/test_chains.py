@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.files import calibration_file
 from calib.models.chain import error_model_and_identification
 from calib.models.chain.error_model_and_identification import identify_chain
-from calib.samples.pose_samples import Samples, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
 from rig.errors import FileError, RigError, Unreachable

@@ -9,7 +9,7 @@ import pytest
 
 from calib.models.chain import error_model_and_identification
 from calib.models.chain.error_model_and_identification import identify_chain
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import FileError
 from rig.formats import machine_geometry_and_effects_json_file

@@ -21,7 +21,7 @@ from rig.cli.command_import_execution_and_exit_status import command_line_parser
 from rig.cli.command_line import main
 from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS, EARLIER_NAMES, GROUPS
 from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
-    join_negative_numbers,
+    join_options_with_negative_numbers,
     nearest_known_word_if_mistyped,
     parse_length_and_angle,
 )
@@ -63,7 +63,7 @@ def test_a_mistyped_word_is_told_from_what_was_meant(words, says, capsys):
     ],
 )
 def test_figures_that_begin_with_a_minus_are_no_option(words, joined):
-    assert join_negative_numbers(words) == joined
+    assert join_options_with_negative_numbers(words) == joined
 
 
 def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():

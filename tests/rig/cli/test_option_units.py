@@ -8,7 +8,7 @@ import pytest
 from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command
 from rig.cli.correct import _start
 from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
-    join_negative_numbers,
+    join_options_with_negative_numbers,
     parse_length_and_angle,
 )
 from rig.driving.axis_display_units_and_controller_counts import MM_AND_DEGREES, parse_axis_values
@@ -27,7 +27,7 @@ def option(command, *words):
         parser = argparse.ArgumentParser(exit_on_error=False)
         argument_adder_and_runner_of_command(command)[0](parser)
         *others, name = words
-        given = join_negative_numbers([*others, f"--{name}", *text.split()])
+        given = join_options_with_negative_numbers([*others, f"--{name}", *text.split()])
         return getattr(parser.parse_args(given), name.replace("-", "_"))
 
     return parse

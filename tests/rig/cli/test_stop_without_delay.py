@@ -46,7 +46,7 @@ from rig.cli.command_line import main
 main(["stop", sys.argv[2]])
 """
 NOT_BEFORE = {"ast", "concurrent", "ctypes", "dataclasses", "glob", "inspect", "json", "logging", "multiprocessing"}
-NOT_BEFORE |= {"shutil", "subprocess", "tempfile", "rig.compute.numba_kernels"}
+NOT_BEFORE |= {"shutil", "subprocess", "tempfile", "rig.compute.numba_compilation_and_kernel_cache_folder"}
 AT_MOST = 2.5  # times as long as a bare Python takes to its first byte; 0.3 s where that takes 0.12 s
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from rig.cli import command_line
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.mechanisms import two_strut_plane
+from rig.model.mechanisms import two_strut_planar_mechanism
 from rig.planning.configuration_generators import sobol_configurations
 from tests.closed_loops import calibrated, design_two_struts, holds, lines, rig, simulate_with_truth, verified
 
@@ -21,7 +21,7 @@ def recorded(folder, *words, plan="sobol:24", size="640x512", same_machine=False
 
 def wanted(folder, count=6):
     m = design_from_rig_toml.load_design(folder / "rig.toml").mechanism
-    return lines(two_strut_plane.forward(sobol_configurations(m.strut_range, count, 0.7, 5), m))
+    return lines(two_strut_planar_mechanism.forward(sobol_configurations(m.strut_range, count, 0.7, 5), m))
 
 
 def test_a_loop_closes_from_corners(tmp_path, capfd):

@@ -12,12 +12,16 @@ from pathlib import Path
 import pytest
 
 from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress, print_compilation_notice
-from rig.compute import numba_kernels
+from rig.compute import numba_compilation_and_kernel_cache_folder
 from tests.conftest import ROOT
 
 
 def forget():
-    for found in (numba_kernels.kernel_cache_folder, numba_kernels.user_cache_folder, numba_kernels.is_private_folder):
+    for found in (
+        numba_compilation_and_kernel_cache_folder.kernel_cache_folder,
+        numba_compilation_and_kernel_cache_folder.user_cache_folder,
+        numba_compilation_and_kernel_cache_folder.is_private_folder,
+    ):
         found.cache_clear()
 
 
@@ -26,7 +30,11 @@ def locked(monkeypatch, tmp_path):
     """An installation that cannot be written, and temporary files in tmp_path."""
     writable = os.access
     monkeypatch.setattr(
-        os, "access", lambda path, mode: not Path(path).is_relative_to(numba_kernels.HERE) and writable(path, mode)
+        os,
+        "access",
+        lambda path, mode: (
+            not Path(path).is_relative_to(numba_compilation_and_kernel_cache_folder.HERE) and writable(path, mode)
+        ),
     )
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
@@ -37,7 +45,7 @@ def locked(monkeypatch, tmp_path):
 
 def test_a_home_is_used_where_there_is_one(locked, monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert numba_kernels.kernel_cache_folder() == tmp_path / "home" / ".cache" / "rig"
+    assert numba_compilation_and_kernel_cache_folder.kernel_cache_folder() == tmp_path / "home" / ".cache" / "rig"
 
 
 @pytest.mark.parametrize("planted", [None, "link", "open"])
@@ -51,12 +59,14 @@ def test_without_a_home_a_folder_of_ones_own(planted, locked, monkeypatch, tmp_p
     if planted == "open":
         folder.mkdir()
         folder.chmod(0o777)
-    found = numba_kernels.kernel_cache_folder()
+    found = numba_compilation_and_kernel_cache_folder.kernel_cache_folder()
     assert (found == folder) == (planted is None) and not found.is_symlink() and found.stat().st_mode & 0o077 == 0
     assert f"is kept in {found}" in capsys.readouterr().err
     forget()
     if planted is None:
-        assert numba_kernels.kernel_cache_folder() == folder and not capsys.readouterr().err  # said once
+        assert (
+            numba_compilation_and_kernel_cache_folder.kernel_cache_folder() == folder and not capsys.readouterr().err
+        )  # said once
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o707])
@@ -66,27 +76,37 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     (theirs / "below").mkdir(parents=True)
     theirs.chmod(mode)
     own = tmp_path / "home" / ".cache" / "rig"
-    assert numba_kernels.private_folder_or_user_cache(theirs) == own and own.stat().st_mode & 0o077 == 0
-    assert numba_kernels.is_private_folder(theirs / "below") == (mode == 0o775), (
+    assert (
+        numba_compilation_and_kernel_cache_folder.private_folder_or_user_cache(theirs) == own
+        and own.stat().st_mode & 0o077 == 0
+    )
+    assert numba_compilation_and_kernel_cache_folder.is_private_folder(theirs / "below") == (mode == 0o775), (
         "who can write above can put another folder in its place"
     )
     forget()
     own.chmod(mode)
-    assert numba_kernels.private_folder_or_user_cache(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
+    assert (
+        numba_compilation_and_kernel_cache_folder.private_folder_or_user_cache(theirs)
+        == tmp_path / f"rig-kernels-{os.getuid()}"
+    )
     assert f"others can write to {theirs}, and {own.parent} can be written to by others" in capsys.readouterr().err
 
 
 def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
     forget()
-    assert numba_kernels.is_private_folder(tmp_path) and numba_kernels.is_private_folder(tmp_path / "new" / "folder")
+    assert numba_compilation_and_kernel_cache_folder.is_private_folder(
+        tmp_path
+    ) and numba_compilation_and_kernel_cache_folder.is_private_folder(tmp_path / "new" / "folder")
     forget()
     owner = tmp_path.stat().st_uid
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-    assert numba_kernels.is_private_folder(tmp_path) == (owner == 0)
+    assert numba_compilation_and_kernel_cache_folder.is_private_folder(tmp_path) == (owner == 0)
     forget()
 
 
-KERNEL = "from rig.compute.numba_kernels import njit\n{imports}\n@njit(cache=True)\n{function}"
+KERNEL = (
+    "from rig.compute.numba_compilation_and_kernel_cache_folder import njit\n{imports}\n@njit(cache=True)\n{function}"
+)
 
 
 @pytest.mark.slow
@@ -142,7 +162,7 @@ def test_kernels_are_compiled_for_all_processors_of_a_kind_unless_one_is_named(n
     environment |= {"NUMBA_CPU_NAME": named} if named else {}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=environment)
     assert not done.returncode, done.stderr
-    portable = [name for name, _ in numba_kernels.PORTABLE.values()]
+    portable = [name for name, _ in numba_compilation_and_kernel_cache_folder.PORTABLE.values()]
     assert done.stdout in [f"{(name, '')}\n" for name in ([named] if named else portable)], done.stdout
 
 
@@ -210,7 +230,7 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
 @pytest.mark.slow
 def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
     code = (
-        "from rig.compute.numba_kernels import announce_compilation; "
+        "from rig.compute.numba_compilation_and_kernel_cache_folder import announce_compilation; "
         "from rig.effects.framework import "
         "machine_motion_and_play as motion; import "
         "numpy as np\n"

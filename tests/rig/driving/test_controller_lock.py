@@ -21,7 +21,7 @@ from rig.cli.command_line import main
 from rig.driving import controller_lock_and_stop_of_its_holder
 from rig.driving import serial_and_epics_ports_and_checksummed_frames as ports
 from rig.driving.clock import SystemClock
-from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock, lock_names
+from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock, names_of_all_locks_of_controller
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort
 from rig.errors import LinkLost, RigError
 from rig.model.protocol_port_and_user_program_name_checks import port_problem
@@ -122,10 +122,14 @@ def test_processes_that_begin_at_once_are_one(device, before_all):
 
 def test_one_device_has_one_name_whatever_path_or_address_leads_there(device, tmp_path):
     (tmp_path / "link").symlink_to(device)
-    assert lock_names(str(tmp_path / "link")) == lock_names(device)
-    assert set(lock_names("socket://localhost:5007")) & set(lock_names("socket://127.0.0.1:5007"))
-    assert not set(lock_names("socket://127.0.0.1:5007")) & set(lock_names("socket://127.0.0.1:5008"))
-    assert not set(lock_names(device)) & set(lock_names(device + "0"))
+    assert names_of_all_locks_of_controller(str(tmp_path / "link")) == names_of_all_locks_of_controller(device)
+    assert set(names_of_all_locks_of_controller("socket://localhost:5007")) & set(
+        names_of_all_locks_of_controller("socket://127.0.0.1:5007")
+    )
+    assert not set(names_of_all_locks_of_controller("socket://127.0.0.1:5007")) & set(
+        names_of_all_locks_of_controller("socket://127.0.0.1:5008")
+    )
+    assert not set(names_of_all_locks_of_controller(device)) & set(names_of_all_locks_of_controller(device + "0"))
 
 
 def test_who_only_looks_stops_nobody_and_a_forked_child_holds_nothing(device, before_all):
@@ -155,7 +159,9 @@ def answer(listening):
 
 def test_a_port_of_another_program_is_no_lock(device, monkeypatch):
     monkeypatch.setattr(controller_lock_and_stop_of_its_holder, "ABSTRACT", False)
-    with socket.create_server(controller_lock_and_stop_of_its_holder._address(lock_names(device)[0])) as other:
+    with socket.create_server(
+        controller_lock_and_stop_of_its_holder._address(names_of_all_locks_of_controller(device)[0])
+    ) as other:
         thread = threading.Thread(target=answer, args=(other,))
         thread.start()
         with pytest.raises(RigError, match="in use by another program"):

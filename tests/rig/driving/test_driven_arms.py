@@ -137,7 +137,7 @@ def test_a_plan_is_run_and_calibrated_and_a_pose_gone_to(tmp_path, protocol, cap
     path = written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n')
     clock, design = SystemClock(), load_design(path)
     emulator = opening.emulator_of_design(design, Faults(), clock, speed_factor=20.0)
-    wire, running = opening.tcp_wire(emulator, ("127.0.0.1", 0)), threading.Event()
+    wire, running = opening.tcp_server_for_emulator(emulator, ("127.0.0.1", 0)), threading.Event()
     served = threading.Thread(
         target=opening.serve_emulator,
         args=(emulator, wire, lambda: not running.is_set(), lambda name: None, lambda: None),

@@ -15,7 +15,7 @@ from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp imp
     emulator_of_design,
     home_lengths,
     serve_emulator,
-    tcp_wire,
+    tcp_server_for_emulator,
 )
 from rig.errors import LinkLost, Stopped
 
@@ -29,7 +29,7 @@ class Served:
         stated = replace(design.controller, protocol="hxp", max_speed=np.full(6, 0.1), max_acceleration=np.full(6, 5.0))
         design = replace(design, controller=stated)
         self.emulator = emulator_of_design(design, Faults((), np.random.default_rng(0)), SystemClock())
-        wire = tcp_wire(self.emulator, ("127.0.0.1", 0))
+        wire = tcp_server_for_emulator(self.emulator, ("127.0.0.1", 0))
         self.design = replace(design, controller=replace(stated, port=wire.name))
         self.address = re.fullmatch(r"xps://(.*):(\d+)", wire.name).groups()
         self._running = True

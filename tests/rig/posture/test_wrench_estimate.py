@@ -34,7 +34,7 @@ from rig.posture.external_wrench_from_torque_table import SETTLED
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import UR10, configurations
 
-DESIGN, DYNAMICS = arm_dynamics_entries.load_arm_dynamics(files("rig") / "arms" / "panda.toml")
+DESIGN, DYNAMICS = arm_dynamics_entries.load_arm_design_and_dynamics(files("rig") / "arms" / "panda.toml")
 PANDA, LINKS, GRAVITY = DESIGN.mechanism, DYNAMICS.links, DESIGN.gravity
 STRENGTH = TorqueBounds(DYNAMICS.torque_limits, LINKS, GRAVITY)
 RATES = np.repeat([20.0, 2.0], 3)  # N, Nm per root second
@@ -141,7 +141,9 @@ def test_greatest_forces_are_those_of_linear_programming():
             wrench = np.r_[direction, 0, 0, 0]
             along = programmed((A @ direction)[:, None], low, high, np.ones(1))
             assert ExertionObjective(wrench, STRENGTH).value(one, PANDA) == pytest.approx(along, rel=1e-9)
-        least, weak = arm_force_transmission_and_exertable_wrench.weakest_force_and_direction(A, low, high)
+        least, weak = arm_force_transmission_and_exertable_wrench.force_in_every_direction_and_weakest_direction(
+            A, low, high
+        )
         rays = (
             arm_force_transmission_and_exertable_wrench.greatest_load_multiple(
                 np.vstack([rng.normal(size=(2000, 3)), weak]) @ A.T, low, high
@@ -364,5 +366,5 @@ def test_dynamics_that_cannot_be_name_line_and_value(tmp_path, line, says):
     path = tmp_path / "arm.toml"
     path.write_text((files("rig") / "arms" / "panda.toml").read_text().split("[dynamics]")[0] + f"[dynamics]\n{line}\n")
     with pytest.raises(FileError, match=says) as error:
-        arm_dynamics_entries.load_arm_dynamics(path)
+        arm_dynamics_entries.load_arm_design_and_dynamics(path)
     assert error.value.line is not None

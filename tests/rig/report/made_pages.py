@@ -8,7 +8,7 @@ from calib.certification.measuring_limb_calibration_agreement_with_vision_and_sl
 from calib.experiment.investigation_folder_and_report import Hypothesis, InvestigationRound, write_investigation_page
 from calib.report.online_learning_and_measuring_limb_pages import write_measuring_limbs_page
 from synthetic.blind_campaign_page import write_campaign_page
-from synthetic.diagnosis_score import Case, Found, Hidden
+from synthetic.blind_diagnosis_score import Case, Found, Hidden
 
 
 def write_made_pages(at: Path) -> dict[str, Path]:

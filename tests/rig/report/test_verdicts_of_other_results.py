@@ -15,7 +15,7 @@ from calib.experiment.investigation_folder_and_report import (
 from calib.experiment.investigation_folder_and_report import investigation_verdict as judged_investigation
 from rig.cli.command_line import main
 from synthetic.blind_campaign_page import campaign_verdict as judged_campaign
-from synthetic.diagnosis_score import Case, Found, Hidden, campaign_rates_with_intervals
+from synthetic.blind_diagnosis_score import Case, Found, Hidden, campaign_rates_with_intervals
 from tests import truth
 from vision.api import MeasurementResult
 from vision.api import measurement_verdict as judged_measurement

@@ -18,7 +18,10 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     offset_from_stated,
     rigid_transform_aligning_points,
 )
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import TERM_PRIOR, adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
+    TERM_PRIOR,
+    adjustment_unknowns_and_start_estimate,
+)
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import whitened_residuals_and_derivatives
 from vision.corner_observations import correlations_of_whitened_marker_corners, whitener_of_observations
@@ -63,7 +66,9 @@ def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     state = with_markers(start(stated, true, T), stated)
     if moving:
         state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
-    u, estimate = adjustment_unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
+    u, estimate = adjustment_unknowns_and_start_estimate(
+        observations, state, replace(state, markers=marker_map(stated)), free
+    )
     rng = np.random.default_rng(1)
     estimate = estimate_after_step(
         estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local))
@@ -90,7 +95,7 @@ def test_optimum_equals_scipys(setting, free):
     observations = observations.take((observations.frame < 3) & (observations.camera < 2))
     state = replace(start(stated, true, T), markers=marker_map(stated))
     result = adjust_bundle(observations, state, free)
-    u, estimate = adjustment_unknowns(observations, result.state, state, free)
+    u, estimate = adjustment_unknowns_and_start_estimate(observations, result.state, state, free)
 
     def residual(p):
         moved = estimate_after_step(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))

@@ -17,7 +17,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     estimate_after_step,
     offset_from_stated,
 )
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import whitened_residuals_and_derivatives
 from vision.corner_observations import whitener_of_observations
 from vision.predict import State, marker_map, predict_corners
@@ -50,7 +50,7 @@ def off_recording(design, seed, frames=24, noise=NOISE, **off):
 def test_derivatives_of_prints_agree_with_differences(design):
     observations, stated, _ = off_recording(design, 3, frames=3)
     state = State(stated.cameras, scene(design, 3, frames=3)[3], {}, printed(design, np.random.default_rng(1)))
-    u, estimate = adjustment_unknowns(
+    u, estimate = adjustment_unknowns_and_start_estimate(
         observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(1.0, 0.5, 1.0, 1.0)
     )
     W, rng = whitener_of_observations(observations), np.random.default_rng(2)
@@ -75,7 +75,7 @@ def test_the_common_part_of_the_sides_is_what_the_priors_make_likeliest(design):
     """
     observations, stated, T = off_recording(design, 4, frames=3)
     state = State(stated.cameras, T, {}, printed(design, np.random.default_rng(1)))
-    u, estimate = adjustment_unknowns(
+    u, estimate = adjustment_unknowns_and_start_estimate(
         observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(0.0, 0.0, 0.0, 1.0)
     )
     away = offset_from_stated(estimate, replace(state, markers=marker_map(stated)), u)

@@ -8,7 +8,7 @@ import pytest
 from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import offset_from_stated
-from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns
+from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     whitened_residuals_and_derivatives,
@@ -37,7 +37,7 @@ def test_cost_and_normal_equations_are_the_same(setting):
     observations, state = setting
     few, spare = merge_repeated_corners(observations, state)
     assert len(few) < 0.8 * len(observations) and (~few.on_platform).sum() * 4 < (~observations.on_platform).sum()
-    u, estimate = adjustment_unknowns(observations, state, state, ("poses", "lenses"))
+    u, estimate = adjustment_unknowns_and_start_estimate(observations, state, state, ("poses", "lenses"))
     both = []
     for o, rest in ((observations, 0.0), (few, spare)):
         residual, derivatives = whitened_residuals_and_derivatives(o, estimate, u, whitener_of_observations(o))

@@ -1,4 +1,4 @@
-"""Lack of fit of an arm's model, and unlisted effects.
+"""Lack of fit of an arm, ranking of covariates, and formulas suggested for joints.
 
 Effects at its joints that the catalogue does not list.
 """
@@ -16,7 +16,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     signed_rank_gain_in_standard_errors,
     time_stretch_folds,
 )
-from calib.diagnosis.engine.formula_search import Formula, Library, Search
+from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Formula, Library, Search
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import (
     ALPHA,
     Covariate,

@@ -78,7 +78,7 @@ from calib.diagnosis.problems.pose_noise_excess import (
 )
 from calib.identify.bounded_least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import UNSTATED, JointFit
-from calib.samples.pose_samples import Sampled, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.errors import RigError
@@ -316,8 +316,9 @@ def arm_evidence(
     sampled: Sampled | None = None,
     progress: Progress | None = None,
 ) -> ArmEvidence:
-    """ArmEvidence of a Recording of an arm or a chain, as `diagnose` takes it.
+    """ArmEvidence of a Recording.
 
+    It is of an arm or a chain, as `diagnose` takes it.
     Raises RigError for a calibration, NotEnoughData where too little was measured, and what calibrating raises.
     """
     if calibration is not None:
@@ -354,8 +355,9 @@ def arm_evidence(
 
 
 def pose_repeatability(fit: Fit) -> Repeats | None:
-    """Repeats of the poses that a Fit used, or None where too few commands were given twice.
+    """Repeatability of poses (Repeats).
 
+    They are those that a Fit used; None where too few commands were given twice.
     Residuals under one command differ as the poses do.
     """
     used = np.flatnonzero(fit.used & ~fit.aside)

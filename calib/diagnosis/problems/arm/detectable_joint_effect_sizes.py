@@ -1,4 +1,7 @@
-"""Smallest sizes of effects that an arm's poses would show, with the geometry and the findings as nuisances."""
+"""Smallest sizes of effects that an arm's poses would show.
+
+The geometry and the findings are nuisances.
+"""
 
 import numpy as np
 
@@ -28,7 +31,10 @@ from calib.diagnosis.problems.detectable_effect_sizes import (
 
 
 def detectable_joint_effect_sizes(problem: ArmProblem, fit: Fit) -> list[DetectableSize]:
-    """DetectableSize of each candidate effect and joint that is not among a Fit's terms, beside these."""
+    """Detectable sizes of joint effects (DetectableSize).
+
+    They are of each candidate effect and joint that is not among a Fit's terms, beside these.
+    """
     found = {(term.candidate.name, term.candidate.place) for term in fit.terms}
     threshold = Threshold(len(problem.candidates), fit.size, problem.policy, is_scatter_estimated=True)
     products: dict[int | None, FrameProducts] = {}

@@ -1,4 +1,4 @@
-"""Optimisation of the nonlinear parameters of findings, and the parameters' intervals.
+"""Optimisation of the parameters of findings, and the parameters' intervals.
 
 Findings are at an arm's joints.
 
@@ -105,7 +105,10 @@ def _is_linear(candidate: JointCandidate) -> bool:
 
 
 def term_parameter_covariance(fit: Fit, number: int) -> TermCovariance:
-    """TermCovariance of one term: of its linear coefficients and nonlinear parameters together."""
+    """Covariance of the parameters of one term (TermCovariance).
+
+    They are its linear coefficients and nonlinear parameters together.
+    """
     term, theta = fit.terms[number], fit.theta[fit.slices[number]]
     parameters = _continuous_parameters(term)
     if not parameters:
@@ -237,8 +240,9 @@ def finding_parameters(
 
 
 def axis_unit(fit: Fit, joint: int | None) -> str:
-    """Unit, "m" or "rad", of the travel of a joint, by its index.
+    """Unit, "m" or "rad", of a joint's travel.
 
+    The joint is given by its index.
     Where no one joint is meant, "rad".
     """
     return "rad" if joint is None else fit.arms.context.moved().units[joint]

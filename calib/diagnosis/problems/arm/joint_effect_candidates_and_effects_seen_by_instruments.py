@@ -31,7 +31,7 @@ from calib.models.arm.certification import UNPLACED, start_arm_of_fit
 from calib.models.arm.error_model_and_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
 from calib.models.arm.pointing_terms import tube_flexure_effect
-from calib.samples.pose_samples import Sampled
+from calib.samples.commanded_and_measured_pose_samples import Sampled
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import lean_under_link_weight
 from rig.effects.framework.effect import Candidate as EffectCandidate
@@ -215,7 +215,10 @@ def joint_candidate(effect_candidates: tuple[EffectCandidate, ...], arms: Arms) 
 
 
 def effect_candidate_of_node(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
-    """The effect's candidate of a node: with as many columns as the node says."""
+    """The effect's candidate of a node.
+
+    It has as many columns as the node says.
+    """
     return next((spec for spec in specs if spec.grid[0].get(COUNT) == node.get(COUNT)), specs[0])
 
 
@@ -311,7 +314,10 @@ def fit_of_effects_shown_by_instruments(recording: Recording, sampled: Sampled) 
 
 
 def findings_of_effects_fitted_before_search(fit: JointFit) -> tuple[MeasuredFinding, ...]:
-    """Findings of effects that were fitted before the search, with 95 % intervals; of a lean its RMS first."""
+    """Findings of effects that were fitted before the search.
+
+    They have 95 % intervals; of a lean its RMS is first.
+    """
     out = list[MeasuredFinding]()
     coordinates, sigma = fit_coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
     for number, effect in enumerate(fit.effects):

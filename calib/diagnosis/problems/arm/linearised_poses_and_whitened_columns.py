@@ -23,7 +23,7 @@ from calib.models.arm.certification import calibrate_arm
 from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, observations_of_samples
 from calib.models.chain import error_model_and_identification as chains
 from calib.models.chain.error_model_and_identification import identify_chain
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.framework.effect import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Context

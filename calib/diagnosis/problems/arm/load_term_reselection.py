@@ -24,9 +24,9 @@ def fit_with_load_terms_chosen_anew(
     train: Booleans | None,
     stated_terms: StatedTerms,
 ) -> Fit:
-    """The Fit with its load terms chosen by elimination, from those at all joints and links, where that clearly
-    explains more.
+    """The Fit with its load terms chosen anew.
 
+    They are chosen by elimination, from those at all joints and links, where that clearly explains more.
     Only where loads are stated, so that links may bend. train : (n,) bool, or None for all
     """
     retained = [t for t in fit.terms if not _is_load(t.candidate) or stated_terms.holds(t.candidate)]

@@ -1,11 +1,14 @@
-"""How many poses of an arm or a chain a candidate needs, and how many numbers so many poses bear."""
+"""Minimum count of poses that a candidate needs.
+
+It is of an arm or a chain; also how many numbers so many poses bear.
+"""
 
 import numpy as np
 
 from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
 from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import NotEnoughData
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
@@ -37,7 +40,10 @@ def minimum_pose_count(
     moves_whole_hand: bool = False,
     start: int = LEAST,
 ) -> int:
-    """Least count of poses that a candidate needs: with so many parameters, counted up from start."""
+    """Least count of poses that a candidate needs.
+
+    It is for so many parameters, counted up from start.
+    """
     count = start
     while (
         most_parameters_of_candidate(count, values_per_pose, geometry_parameters, moves_whole_hand)
@@ -48,7 +54,10 @@ def minimum_pose_count(
 
 
 def require_enough_poses(samples: Samples, design: Design) -> None:
-    """Raise NotEnoughData for poses that bear no number beside the geometry's, with how many it takes."""
+    """Raise NotEnoughData where poses are not enough.
+
+    They then bear no number beside the geometry's; the error says how many it takes.
+    """
     if samples.measured == "direction":
         k, freedoms = 2, int(independent_arm_parameter_mask(require_arm(design.mechanism), "direction").sum())
     else:

@@ -73,8 +73,9 @@ def merge_sinusoids_into_profiles(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with many sinusoids at a joint merged into one profile.
+    """The Fit with sinusoids merged into profiles.
 
+    Many at a joint become one profile.
     Where that fits about as well.
     train : (n,) bool, or None for all
     """
@@ -150,8 +151,9 @@ def simplify_profiles(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with profiles simplified to a scale or a few sinusoids where these do as well.
+    """The Fit with profiles simplified.
 
+    They become a scale or a few sinusoids where these do as well.
     train : (n,) bool, or None for all poses
     """
     for one in [t for t in fit.terms if t.candidate.form is Form.PROFILE and not stated_terms.holds(t.candidate)]:
@@ -175,9 +177,9 @@ def choose_forms_of_laws(
     policy: SelectionPolicy,
     stated_terms: StatedTerms = NO_STATED_TERMS,
 ) -> Fit:
-    """The Fit with each law in the form of more or fewer numbers that explains best, in place of another term or beside
-    all others.
+    """The Fit with each law in its best form.
 
+    It has the more or fewer numbers that explain best, in place of another term or beside all others.
     A search admits a form before the other terms are there, and more numbers stand for some of these; or it admits
     another term for what a form of few numbers leaves. train : (n,) bool, or None for all poses
     """

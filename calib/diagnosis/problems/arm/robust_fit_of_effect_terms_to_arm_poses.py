@@ -1,4 +1,4 @@
-"""Projected residuals of an arm's poses.
+"""Robust fit of effect terms to an arm's poses.
 
 Whitened residuals, with calibration's freedoms and admitted terms projected out.
 
@@ -272,7 +272,10 @@ def _weighed(arms: Arms, left: Floats, used: Booleans, share: float) -> Weighing
 
 
 def term_columns(arms: Arms, terms: Sequence[Term]) -> Columns:
-    """Columns of terms, after those of the freedoms, m and rad per unit."""
+    """Columns of terms.
+
+    They follow those of the freedoms, m and rad per unit.
+    """
     return Columns(arms.joints, (Part(None, arms.freedoms), *(term.part for term in terms)))
 
 

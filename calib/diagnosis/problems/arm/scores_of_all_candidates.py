@@ -49,8 +49,9 @@ def score_candidates(
     correlated_frames: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[JointScore]:
-    """Scores of candidates, the greatest raw delta BIC first.
+    """Scores of candidates.
 
+    The greatest raw delta BIC is first.
     least_delta_bic : of those listed, raw: candidates up to it are left out; progress : called with (done, of)
     """
     known, out = {}, []
@@ -66,7 +67,10 @@ def score_candidates(
 
 
 def joint_motion_normal_equations_by_frame(fit: Fit, joint: int | None) -> FrameProducts:
-    """Inner products (FrameProducts) of a joint's motion, or of the measured tangents (None), for the fitted poses."""
+    """Normal equations of a joint's motion, frame by frame (FrameProducts).
+
+    They are inner products for the fitted poses; of the measured tangents where joint is None.
+    """
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)

@@ -1,4 +1,7 @@
-"""Smallest sizes of effects that a platform's recording would show, with poses, cameras and findings as nuisances."""
+"""Smallest sizes of effects that a platform's recording would show.
+
+Poses, cameras and findings are nuisances.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -26,11 +29,11 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_elongation_inner_products,
-    axis_normal_equations,
+    camera_mount_motion_share_by_frame,
     camera_mount_pixel_derivatives,
-    camera_mount_share,
     constant_displacement_normal_equations,
     corner_displacement_normal_equations_by_frame,
+    solver_and_normal_equations_of_axis_candidate,
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import Motion
@@ -38,8 +41,9 @@ from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 
 def detectable_platform_effect_sizes(problem: PlatformProblem, fit: PlatformFit) -> list[DetectableSize]:
-    """DetectableSize of each candidate effect and place that is not among a fit's terms, beside these.
+    """Detectable sizes of platform effects (DetectableSize).
 
+    They are of each candidate effect and place that is not among a fit's terms, beside these.
     Of a vibration none: it takes a frequency and a direction.
     """
     found = {(term.name, term.place) for term in fit.terms}
@@ -78,14 +82,16 @@ class _Looks:
     def _normal(self, candidate: PlatformCandidate, nodes: list[Node]) -> Normal:
         """Normal equations of a candidate at nodes, as it is scored."""
         if candidate.reach is Reach.MOUNT:
-            share = np.stack([camera_mount_share(self.model, candidate, node) for node in nodes])
+            share = np.stack([camera_mount_motion_share_by_frame(self.model, candidate, node) for node in nodes])
             return normal_equations_by_common_weights(self.mount(candidate.place), share)
         if candidate.reach is Reach.VIEW:
             seen = [self.sensitivities.touched(*self.sensitivities.seen(candidate, node)) for node in nodes]
             each = [constant_displacement_normal_equations(self.model, *one)[:3] for one in seen]
             return Normal(*(np.concatenate(part) for part in zip(*each)))
         products, motion = self._along_axes()
-        return axis_normal_equations(replace(candidate, grid=nodes), self.sensitivities, products, motion)[1]
+        return solver_and_normal_equations_of_axis_candidate(
+            replace(candidate, grid=nodes), self.sensitivities, products, motion
+        )[1]
 
     def _moved(self, candidate: PlatformCandidate, node: Node) -> tuple[Floats, str]:
         """((q, q) mean square of what a candidate moves, by its coefficients, its unit): m of axes, px of corners."""
@@ -96,7 +102,9 @@ class _Looks:
             moved = moved - moved.mean(axis=0)
         elif candidate.reach is Reach.MOUNT:
             looks = self.mount_pixels(candidate.place)
-            share = camera_mount_share(self.model, candidate, node)[self.model.point.observed.observations.frame]
+            share = camera_mount_motion_share_by_frame(self.model, candidate, node)[
+                self.model.point.observed.observations.frame
+            ]
             moved = (looks * share[:, None, None])[looks.any(axis=(1, 2))]
             unit = "px"
         else:
@@ -109,7 +117,7 @@ class _Looks:
         """
         if candidate.reach is Reach.MOUNT:
             products = self.mount(candidate.place)
-            weights = camera_mount_share(self.model, candidate, node)[:, None, None] * np.eye(6)
+            weights = camera_mount_motion_share_by_frame(self.model, candidate, node)[:, None, None] * np.eye(6)
         elif candidate.reach is Reach.VIEW:  # its products by frame would cost as much as all else
             hit = self.sensitivities.touched(*self.sensitivities.seen(candidate, node))[0]
             return Dispersion(1.0, len(np.unique(self.model.point.observed.observations.frame[hit])) - 1.0)

@@ -143,7 +143,10 @@ def effect_context(point: OperatingPoint) -> Context:
 
 
 def lacks_temperature_log(point: OperatingPoint, needed_channels: tuple[tuple[str, ...], ...]) -> bool:
-    """Whether the recording lacks a temperature log that an effect needs, each served by any of several channels."""
+    """Whether the recording lacks a needed temperature log.
+
+    An effect needs it, each served by any of several channels.
+    """
     logged = set(point.sensors.channels) if point.sensors is not None else set()
     return not all(logged & set(channels) for channels in needed_channels)
 

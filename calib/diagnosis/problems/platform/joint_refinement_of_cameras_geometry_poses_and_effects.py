@@ -1,6 +1,6 @@
-"""Simultaneous refinement of all of a platform's unknowns.
+"""Joint refinement of a platform's cameras, geometry, poses and effects.
 
-Cameras, geometry, poses and effects' parameters, by Gauss-Newton.
+All are refined together, with the effects' parameters, by Gauss-Newton.
 
 A parameter that the data pull beyond its bounds stands at its bound, and the others make the best of it there.
 """

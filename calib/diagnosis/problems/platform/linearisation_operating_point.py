@@ -14,7 +14,7 @@ from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
     smoothed_temperatures_and_errors,
 )
-from calib.samples.pose_samples import Sampled, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import Effect
@@ -329,8 +329,10 @@ def _seen(measured: Measurement, point: OperatingPoint) -> SeenCorners:
 
 
 def remove_corners_far_from_prediction(point: OperatingPoint) -> OperatingPoint:
-    """OperatingPoint without the corners too far from their predicted pixels to belong to their marker; a frame that
-    would have none of its platform left keeps all.
+    """OperatingPoint without the corners too far from prediction.
+
+    They are too far from their predicted pixels to belong to their marker; a frame that would have none of its platform
+    left keeps all.
     """
     seen = point.seen
     if seen is None:

@@ -164,8 +164,9 @@ def linearise(
     scattered: Floats | None = None,
     as_uncertain_as: LinearisedModel | None = None,
 ) -> LinearisedModel:
-    """LinearisedModel of an OperatingPoint: residuals of corners and loop closures, and their derivatives.
+    """Linearise an OperatingPoint (LinearisedModel).
 
+    It has residuals of corners and loop closures, and their derivatives.
     Cameras, lenses and geometry are its nuisances.
 
     Each frame's pose is free in the image. clip : standard deviations for which a corner's residual counts at most

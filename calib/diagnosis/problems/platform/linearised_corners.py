@@ -310,8 +310,9 @@ def _weights(o: Observations, k: OperatingPoint) -> Floats:
 
 
 def repeated_corner_error(point: OperatingPoint) -> float:
-    """Error, px, by which standing corners are off alike in every frame.
+    """Repeated corner error, px.
 
+    Standing corners are off by it alike in every frame.
     It is 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does

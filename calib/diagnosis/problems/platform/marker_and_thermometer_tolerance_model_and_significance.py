@@ -1,4 +1,4 @@
-"""Columns of tolerances, of markers and thermometers.
+"""Tolerance model of markers and thermometers, and which tolerances are significant.
 
 Each with its prior: what they do to corners and struts.
 """
@@ -214,7 +214,10 @@ def share_not_explained_by_tolerances(
 
 
 def model_with_tolerances(model: LinearisedModel, tolerance_effects: ToleranceModel) -> LinearisedModel:
-    """The LinearisedModel with tolerances among the nuisances, each held by its prior."""
+    """The LinearisedModel with tolerances among the nuisances.
+
+    Each is held by its prior.
+    """
     linear, more = model.linear, len(tolerance_effects.sigma)
     closures = linear.blocks[CLOSURES]
     closures = replace(closures, residual=np.r_[closures.residual, np.zeros(more)])
@@ -228,8 +231,9 @@ def model_with_tolerances(model: LinearisedModel, tolerance_effects: ToleranceMo
 
 
 def significant_tolerances(model: LinearisedModel, tolerance_effects: ToleranceModel) -> list[SignificantTolerance]:
-    """Tolerances that are significant, beyond chance, the surest first ([SignificantTolerance]).
+    """Tolerances that are significant ([SignificantTolerance]).
 
+    They are beyond chance, the surest first.
     What is admitted belongs among the nuisances.
     """
     seen = tolerance_effects.projected(model)

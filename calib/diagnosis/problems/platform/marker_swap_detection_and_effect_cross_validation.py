@@ -1,4 +1,4 @@
-"""Misplaced markers of a platform, and held-out validation of effects.
+"""Detection of swapped markers, and cross-validation of effects.
 
 Misplaced markers and frames are found before any search.
 
@@ -216,8 +216,9 @@ def _near(k: OperatingPoint, middle: Floats, i: int) -> Floats:
 
 
 def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> list[Effect]:
-    """Marker swaps found from corners that lie whole marker sides from where they should be.
+    """Find the marker swaps.
 
+    Corners then lie whole marker sides from where they should be.
     kinds : of effects with discrete parameters
     """
     seen = point.seen
@@ -249,7 +250,10 @@ def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> l
 
 
 def correct_marker_swaps(point: OperatingPoint, marker_swaps: Sequence[Effect]) -> OperatingPoint:
-    """OperatingPoint with marker swaps corrected: each marker sits where they state."""
+    """OperatingPoint with marker swaps corrected.
+
+    Each marker sits where they state.
+    """
     if not marker_swaps:
         return point
     seen, markers = point.observed, point.observed.markers
@@ -275,7 +279,10 @@ def _rows(ids: Integers, effect: Effect) -> Integers:
 
 
 def cross_validate_effects(refinement: Refinement, numbers: set[int], residual_block: int) -> CrossValidation:
-    """Cross-validate several admitted effects together, in one block of residuals: CORNERS or CLOSURES."""
+    """Cross-validate several admitted effects together, in one block of residuals.
+
+    The block is CORNERS or CLOSURES.
+    """
     before, after, _ = _both(refinement, numbers)
     return _compared(refinement.model, before, after, (residual_block,))[0]
 
@@ -294,8 +301,9 @@ def cross_validate_effects_for_each_residual_block(
 def cross_validate_effect_by_regions(
     refinement: Refinement, number: int, residual_block: int, ordering_values: Floats
 ) -> CrossValidation:
-    """Cross-validate one admitted effect, whole regions of the frames' ordering values held out in turn.
+    """Cross-validate one admitted effect by regions.
 
+    Whole regions of the frames' ordering values are held out in turn.
     ordering_values : (F,) what frames are put in order by
     """
     order = np.argsort(ordering_values, kind="stable")
@@ -325,7 +333,10 @@ def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) 
 
 
 def frames_before_and_after_sudden_changes(effects: Sequence[Effect], t: Floats) -> list[Booleans]:
-    """Frames (F,) bool after and before each sudden change of what is seen, at times t (F,) s."""
+    """Frames (F,) bool before and after each sudden change.
+
+    Those after it come first; what is seen changes, at times t (F,) s.
+    """
     moments = [
         getattr(e, p.name)
         for e in effects

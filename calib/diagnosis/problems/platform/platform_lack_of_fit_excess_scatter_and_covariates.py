@@ -1,4 +1,4 @@
-"""Lack of fit of a platform beyond all candidates.
+"""Lack of fit of a platform, excess scatter, and ranking of covariates.
 
 Smooth functions, excess scatter, covariates of the rest.
 """
@@ -70,7 +70,10 @@ STRUTS, IMAGES = "struts", "images"
 
 
 def is_lack_of_fit_at_place(lack: LackOfFit, place: Place) -> bool:
-    """Whether a LackOfFit is at a place, or at a part of it."""
+    """Whether a LackOfFit is at a place.
+
+    It may be at a part of it.
+    """
     moved = Place("rig") if place.kind == "clock" else place  # a clock moves all axes
     return moved.includes(lack.place) or place.includes(lack.place)
 
@@ -78,8 +81,9 @@ def is_lack_of_fit_at_place(lack: LackOfFit, place: Place) -> bool:
 def find_lack_of_fit_by_place(
     model: LinearisedModel, place: Place | None = None, alpha: float = ALPHA
 ) -> list[LackOfFit]:
-    """Find lack of fit ([LackOfFit]) of the residuals at each place, the most significant first.
+    """Find lack of fit ([LackOfFit]) at each place.
 
+    It is of the residuals, the most significant first.
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
     k = model.point
@@ -230,7 +234,9 @@ def _following(products: FrameProducts, order: Integers, place: Place, informati
 
 
 def excess_scatter(model: LinearisedModel, lacks_of_fit: list[LackOfFit]) -> list[LackOfFit]:
-    """Excess scatter of struts and corners ([LackOfFit]), at places with no other lack of fit.
+    """Excess scatter of struts and corners ([LackOfFit]).
+
+    They are at places with no other lack of fit.
     lacks_of_fit : what functions
     explain
     """

@@ -71,7 +71,7 @@ from calib.diagnosis.problems.pose_noise_excess import (
     scaled_pose_covariance,
 )
 from calib.models.platform.identification import PRIOR
-from calib.samples.pose_samples import Sampled
+from calib.samples.commanded_and_measured_pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
 from rig.effects.framework.effect import AT_REST, Effect
@@ -276,7 +276,7 @@ def platform_evidence(
     sampled: Sampled | None = None,
     progress: Progress | None = None,
 ) -> PlatformEvidence:
-    """PlatformEvidence of a Recording, as `diagnose` takes it.
+    """PlatformEvidence of a Recording.
 
     Raises NotEnoughData where too little was measured, and what measuring raises.
     """

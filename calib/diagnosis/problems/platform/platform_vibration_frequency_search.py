@@ -1,4 +1,4 @@
-"""Frequency of a vibrating platform.
+"""Search of the frequency at which a platform vibrates.
 
 A coarse spectrum of all directions, then the exact score near its peak.
 """
@@ -47,8 +47,9 @@ def axis_elongations_by_sinusoidal_platform_motion(model: LinearisedModel, frequ
 def best_vibration_frequency_score(
     model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least_delta_chi2: float = -np.inf
 ) -> PlatformScore:
-    """Score of the best vibration frequency, at which one direction shakes most.
+    """Score of the best vibration frequency.
 
+    One direction shakes most at it.
     p-value by the number of frequencies that can be told apart. least_delta_chi2 : what cannot explain as much is not
     looked at closely
     """

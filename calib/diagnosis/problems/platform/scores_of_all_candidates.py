@@ -28,7 +28,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.compute.numba_kernels import njit
+from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.compute.worker_processes import Progress
 from rig.effects.framework.machine_motion_and_play import Motion
@@ -73,8 +73,9 @@ def score_candidates(
     least_delta_chi2_for_p_value: float = -np.inf,
     progress: Progress | None = None,
 ) -> list[PlatformScore]:
-    """Scores of all candidates, the greatest raw delta BIC first.
+    """Scores of all candidates.
 
+    The greatest raw delta BIC is first.
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
     least_delta_chi2_for_p_value : what explains less is listed too, but is not asked how likely it is, see
         `best_node_score`
@@ -135,7 +136,7 @@ def candidate_column(
     if candidate.reach is Reach.MOUNT:
         pixels = (
             camera_mount_pixel_derivatives(model, Place.parse(candidate.place))
-            * camera_mount_share(model, candidate, node)[k.observed.observations.frame][:, None, None]
+            * camera_mount_motion_share_by_frame(model, candidate, node)[k.observed.observations.frame][:, None, None]
         )
         return model.fold(pixels)
     return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
@@ -242,12 +243,12 @@ def _along_axes(
     motion: Motion,
     least: float,
 ) -> PlatformScore:
-    solver, normal = axis_normal_equations(candidate, sensitivities, products, motion)
+    solver, normal = solver_and_normal_equations_of_axis_candidate(candidate, sensitivities, products, motion)
     solved = solver(normal)
     best = int(np.argmax(solved.delta_chi2))
     if not candidate.spec.linear and solved.delta_chi2[best] >= COARSE * least:
         grid, finer = candidate.grid, replace(candidate, grid=_nodes_of_finer_sizes(candidate, best))
-        of_finer = solver(axis_normal_equations(finer, sensitivities, products, motion)[1])
+        of_finer = solver(solver_and_normal_equations_of_axis_candidate(finer, sensitivities, products, motion)[1])
         top = int(np.argmax(of_finer.delta_chi2))
         candidate = replace(candidate, grid=[*grid[:best], finer.grid[top], *grid[best + 1 :]])
         solved = Solved.of(
@@ -281,11 +282,12 @@ def _nodes_of_finer_sizes(candidate: PlatformCandidate, best: int) -> list[Node]
     return [node | {name: float(one)} for one in np.interp(steps / FINER, np.arange(len(sizes)), sizes)]
 
 
-def axis_normal_equations(
+def solver_and_normal_equations_of_axis_candidate(
     candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts, motion: Motion
 ) -> tuple[Callable[[inner.Normal], Solved], inner.Normal]:
-    """(what solves them, normal equations) of all nodes of a candidate that acts on axes.
+    """Solver and normal equations of a candidate that acts on axes.
 
+    They are of all nodes.
     products : of axis elongations; motion : Motion with the admitted effects
     """
     solver: Callable[[inner.Normal], Solved] = inner.solve_normal_equations
@@ -307,15 +309,15 @@ def axis_normal_equations(
 def _mounted(
     model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float
 ) -> PlatformScore:
-    w = np.stack([camera_mount_share(model, candidate, node) for node in candidate.grid])
+    w = np.stack([camera_mount_motion_share_by_frame(model, candidate, node) for node in candidate.grid])
     solved = inner.solve_normal_equations(inner.normal_equations_by_common_weights(products, w))
     return best_node_score(
         model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least
     )
 
 
-def camera_mount_share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> Floats:
-    """(F,) share of its motion that a mount has made by each frame."""
+def camera_mount_motion_share_by_frame(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> Floats:
+    """Share (F,) of a camera mount's motion that it has made by each frame."""
     camera = model.point.stated.camera(Place.parse(candidate.place).name)
     return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]
 

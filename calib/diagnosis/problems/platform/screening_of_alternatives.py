@@ -21,7 +21,7 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     axis_elongation_inner_products,
-    axis_normal_equations,
+    solver_and_normal_equations_of_axis_candidate,
 )
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
@@ -107,7 +107,7 @@ def _explained_in_place(
     def explained(candidate: PlatformCandidate) -> Floats:
         if candidate.reach is not Reach.AXES:
             return np.full(len(released), np.inf)
-        solver, normal = axis_normal_equations(candidate, sensitivities, products, motion)
+        solver, normal = solver_and_normal_equations_of_axis_candidate(candidate, sensitivities, products, motion)
         each = [solver(term.normal_equations(normal)) for term in released]
         return np.array([one.delta_chi2[np.argmax(one.delta_chi2 - one.rank * np.log(model.size))] for one in each])
 

@@ -14,7 +14,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     held_out_residuals,
     summed_gain_in_standard_errors,
 )
-from calib.diagnosis.engine.formula_search import Formula, Library, Search
+from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Formula, Library, Search
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Reduced
 from calib.diagnosis.engine.linear_model import LinearModel

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import LARGEST_RIG, Entries, name_problem
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, name_problem
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.importers.camera_calibrations.kalibr_multical_caliscope_ros_opencv_camera_readers import (
     PROGRAMS,
@@ -34,8 +34,9 @@ LARGEST = 1 << 22  # bytes
 
 
 def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
-    """Program that wrote a camera calibration file, and the cameras in it (ForeignCameras).
+    """Read a camera calibration file.
 
+    Returns the program that wrote it, and the cameras in it (ForeignCameras).
     Raises FileError, with line and key, for anything that cannot be used.
     """
     root = _root(path)
@@ -74,8 +75,9 @@ def _root(path: Path) -> Entries:
 def rig_toml_with_cameras(
     settings: Cameras, text: str, present_cameras: Sequence[Camera]
 ) -> tuple[str, tuple[str, ...]]:
-    """rig.toml text with imported cameras replaced or added, and sentences on what was found.
+    """The rig.toml text with imported cameras.
 
+    They replace cameras or are added; with sentences on what was found.
     text : a valid rig.toml; present_cameras : its cameras. Raises RigError where names or places are not told, and for
         another size of image
     """

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import LARGEST_IMAGE
 from rig.model.design import DISTORTION_TERMS
@@ -71,7 +71,7 @@ def require_valid_skewless_camera_matrix(entries: Entries, key: str, matrix: Flo
 
 
 def require_opencv_distortion_terms(entries: Entries, key: str, values: Floats) -> Floats:
-    """Distortion terms (n,), checked.
+    """Distortion terms (n,) of OpenCV, checked.
 
     None means four zeros.
     Raises FileError for a count that OpenCV lacks.

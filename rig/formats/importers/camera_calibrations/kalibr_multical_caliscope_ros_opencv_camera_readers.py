@@ -1,4 +1,4 @@
-"""Camera calibrations by program.
+"""Readers of camera calibrations of Kalibr, multical, Caliscope, ROS and OpenCV.
 
 Kalibr, multical, Caliscope, Anipose, ROS and OpenCV, recognised and read.
 
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import (
     ForeignCamera,
     checked_camera_transform,

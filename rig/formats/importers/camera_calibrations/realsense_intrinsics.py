@@ -1,5 +1,6 @@
-"""Intrinsics of RealSense cameras: what `rs-enumerate-devices -c` prints, or JSON and YAML of the same figures.
+"""Intrinsics of RealSense cameras.
 
+What `rs-enumerate-devices -c` prints, or JSON and YAML of the same figures.
 A stream is a camera, by its name and size: color-1280x720. Five coefficients are k1, k2, p1, p2, k3, as OpenCV's.
 Brown-Conrady is OpenCV's lens. Its inverse undistorts by the same formula, and modified Brown-Conrady takes its
 tangential part at points distorted radially: both become the lens of OpenCV that follows them.
@@ -14,7 +15,7 @@ from scipy.optimize import least_squares
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import LARGEST_IMAGE
 
@@ -29,8 +30,9 @@ SIZE = 0.1  # of a lens' terms
 
 
 def realsense_text_entries(text: str, file: Path) -> Entries | None:
-    """Entries of the text of `rs-enumerate-devices -c`, {stream: its figures}; None of any other text.
+    """Entries of the text of `rs-enumerate-devices -c`.
 
+    {stream: its figures}; None of any other text.
     Raises FileError, with its line, for a figure that is none, and for a stream that is listed twice and differs
     """
     tree: dict[str, dict[str, object]] = {}
@@ -72,7 +74,10 @@ def _value(key: str, text: str, file: Path, line: int) -> object:
 
 
 def is_realsense(root: Entries) -> bool:
-    """Whether a file's root table holds intrinsics of a RealSense camera, itself or in tables by stream."""
+    """Whether a file's root table holds intrinsics of a RealSense camera.
+
+    Itself or in tables by stream.
+    """
     return bool(_tables(root))
 
 

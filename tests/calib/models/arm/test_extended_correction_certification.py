@@ -22,9 +22,9 @@ from calib.models.arm.joint_space_correction_and_workspace_claim import (
     nominal_arm_correction,
     single_step_correction_errors,
 )
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import RigError
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations
 from rig.recording import recording_folder

@@ -19,7 +19,7 @@ from calib.models.arm.correction import ArmCorrection
 from calib.models.arm.error_model_and_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect

@@ -10,7 +10,7 @@ from calib.models.arm import error_model_and_observations
 from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
 from calib.models.arm.error_model_and_observations import Observations, observations_of_samples, position_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm

@@ -11,7 +11,7 @@ import pytest
 from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
 from calib.models.arm.error_model_and_observations import orientation_observations
 from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
-from calib.samples.pose_samples import Samples, sample_recording
+from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model.pose import exp, pose, pose_difference

@@ -9,8 +9,8 @@ from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.certification.held_out_errors import pose_errors
 from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
 from calib.models.arm.error_model_and_observations import Observations, arm_with_parameter_step
-from calib.models.arm.pointing_terms import ARCSEC, pointing_term_jacobian, pointing_terms_of_parameters
-from calib.samples.pose_samples import sample_recording
+from calib.models.arm.pointing_terms import ARCSEC, pointing_term_jacobian_and_names, pointing_terms_of_parameters
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import arm as mechanism
 from rig.model.pose import exp, pose, poses_pointing_along
@@ -104,7 +104,7 @@ def test_terms_of_an_equatorial_mount():
     """To first order: the difference of both models is of second order."""
     rng = np.random.default_rng(0)
     q, mount, moved, terms = equatorial_sky(40, rng)
-    names, J = pointing_term_jacobian(q, mount)
+    names, J = pointing_term_jacobian_and_names(q, mount)
     change = mechanism.forward(q, mount) * exp(J @ np.array([terms[name] for name in names]))
     np.testing.assert_allclose(change.rotation.as_matrix()[..., 2], moved, atol=3e-9)
 

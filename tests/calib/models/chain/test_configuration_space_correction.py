@@ -17,7 +17,7 @@ from calib.models.chain.configuration_space_correction import (
     single_step_chain_correction_errors,
 )
 from calib.models.chain.error_model_and_identification import chain_with_parameter_step, parameter_tolerances
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.mechanisms import mechanism_chain
 from rig.model.pose import exp, pose_difference
 from rig.planning.configuration_generators import divided_grid_configurations, sobol_configurations

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.correction.correction import Correction, identify_geometry
 from calib.models.platform.identification import identify_platform
-from calib.samples.pose_samples import Samples
+from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.checks.unit_and_convention_mistakes import command_unit_mistakes
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design

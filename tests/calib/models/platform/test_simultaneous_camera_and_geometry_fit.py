@@ -8,7 +8,7 @@ import pytest
 from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
 from calib.models.platform.identification import identify_platform
-from calib.samples.pose_samples import sample_recording
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import RigError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.recording import recording_folder

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.formats.importers.foreign_table_columns import accepted_header_names_of_axes, find_columns
+from rig.formats.importers.foreign_table_columns import accepted_header_names_of_axes, column_indices_by_headers
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH
@@ -136,4 +136,4 @@ def test_a_column_beside_the_commands_is_not_taken_for_a_time(tmp_path, header, 
     table = SimpleNamespace(columns=())
     cells = SimpleNamespace(table=table, header=header_row, path=tmp_path, column=lambda at: columns[at])
     known = {"t": ("time", "temps"), **accepted_header_names_of_axes(names)}
-    assert set(find_columns(cells, "commands", known, names)) == set(names)
+    assert set(column_indices_by_headers(cells, "commands", known, names)) == set(names)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
-from rig.formats.importers.foreign_table_columns import TIME, accepted_header_names_of_axes, find_columns
+from rig.formats.importers.foreign_table_columns import TIME, accepted_header_names_of_axes, column_indices_by_headers
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.importers.pose_table import POSITION, VECTOR
 from rig.formats.importers.units_and_timestamps import UnclearInput
@@ -107,7 +107,7 @@ def test_columns_are_known_in_four_more_languages(tmp_path, time, limb):
     path.write_text(";".join([time, *(limb.format(i) for i in range(1, 7))]) + "\n" + "1;2;3;4;5;6;7\n2;3;4;5;6;7;8\n")
     cells = read_foreign_table_header_and_cells(ForeignTable(path, decimal="point"), "commands")
     axes = [f"l{i}" for i in range(1, 7)]
-    found = find_columns(cells, "commands", {**TIME, **accepted_header_names_of_axes(axes)}, axes)
+    found = column_indices_by_headers(cells, "commands", {**TIME, **accepted_header_names_of_axes(axes)}, axes)
     assert found == {"t": 0, **{name: i for i, name in enumerate(axes, 1)}}
 
 
@@ -120,9 +120,9 @@ def test_columns_that_share_a_prefix_are_known_unless_two_prefixes_can_be_meant(
     cells = read_foreign_table_header_and_cells(ForeignTable(path, decimal="point"), "poses")
     if second:
         with pytest.raises(UnclearInput, match="x: --set"):
-            find_columns(cells, "poses", {**POSITION, **VECTOR}, ("x", "y", "z"))
+            column_indices_by_headers(cells, "poses", {**POSITION, **VECTOR}, ("x", "y", "z"))
     else:
-        found = find_columns(cells, "poses", {**POSITION, **VECTOR}, ("x", "y", "z"))
+        found = column_indices_by_headers(cells, "poses", {**POSITION, **VECTOR}, ("x", "y", "z"))
         assert found == {"x": 1, "y": 2, "z": 3, "rx": 4}
 
 
@@ -131,10 +131,10 @@ def test_a_misspelt_header_is_supposed_and_one_without_resemblance_is_left_open(
     path.write_text("Zeitpnkt;Foo\n1.5;a\n1.25;b\n")
     cells = read_foreign_table_header_and_cells(ForeignTable(path), "frames")
     with pytest.raises(UnclearInput, match="t: likely 'Zeitpnkt'") as error:
-        find_columns(cells, "frames", TIME, ("t",))
+        column_indices_by_headers(cells, "frames", TIME, ("t",))
     assert error.value.settings == ("frames.columns.t=Zeitpnkt",) and error.value.is_decided
     with pytest.raises(UnclearInput, match="image: --set 'frames.columns.image=HEADER'") as error:
-        find_columns(cells, "frames", {"image": ("picture",)}, ("image",))
+        column_indices_by_headers(cells, "frames", {"image": ("picture",)}, ("image",))
     assert error.value.settings == () and not error.value.is_decided
 
 

@@ -1,7 +1,7 @@
 """Figures as pages show them: minus signs of print, shortened digests, and counts in the singular."""
 
 from rig.formats.numbers_and_units import count_text
-from rig.report.pages.html_and_svg_elements import svg_text, table_html, with_minus_signs
+from rig.report.pages.html_and_svg_elements import svg_text, table_html, text_with_typographic_minus_signs
 
 DIGEST = "0123456789abcdef" * 4
 
@@ -9,7 +9,7 @@ DIGEST = "0123456789abcdef" * 4
 def test_numbers_of_a_table_have_the_minus_sign_of_print():
     made = table_html(("axis", "change"), [("strut-1", "-0.71"), ("strut 2", "0.5 ± -2"), ("3", "1e-06 (-3 to 2)")])
     assert all(shown in made for shown in (">−0.71<", "± −2", "1e−06 (−3 to 2)", "strut-1"))
-    assert with_minus_signs("2026-11-23 a-1") == "2026-11-23 a-1"
+    assert text_with_typographic_minus_signs("2026-11-23 a-1") == "2026-11-23 a-1"
     assert ">−5<" in svg_text(0, 0, "-5") and "--seed -1" in svg_text(0, 0, "--seed -1")
 
 

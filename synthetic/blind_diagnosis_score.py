@@ -14,7 +14,7 @@ import scipy
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_entries import Entries
+from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 
@@ -130,10 +130,10 @@ class Figure:
 def _share_figure(name: str, flags: list[bool], goal: float | None = None) -> Figure:
     """Figure of how many flags are true."""
     flags = [bool(f) for f in flags]
-    return Figure(name, sum(flags), len(flags), *clopper_pearson(sum(flags), len(flags)), goal)
+    return Figure(name, sum(flags), len(flags), *clopper_pearson_interval(sum(flags), len(flags)), goal)
 
 
-def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
+def clopper_pearson_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     """Clopper-Pearson exact interval (low, high) of a share, hits of trials.
 
     Source: Biometrika 26, 1934.
@@ -235,8 +235,9 @@ def do_parameter_intervals_cover_truth(true_effect: Hidden, finding: Found | Non
 
 
 def campaign_rates_with_intervals(cases: list[Case]) -> list[Figure]:
-    """Figures of a campaign's cases.
+    """Rates of a campaign's cases, with intervals.
 
+    They are of detection, naming and placing, in the order of the page.
     Rates of detection, naming and placing, in the order of the page.
     """
     done = [c for c in cases if c.failed is None]
@@ -304,15 +305,19 @@ def campaign_medians(cases: list[Case]) -> dict[str, float]:
 
 
 def detection_and_naming_shares_by_effect(cases: list[Case]) -> list[Group]:
-    """Shares of strong hidden effects detected, named, placed and covered, by effect.
+    """Shares of strong hidden effects detected and named, by effect.
 
+    Also placed and covered.
     Returns (effect, [Figure detected, named, placed, covered], {effect found: count})
     """
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
 def detection_and_naming_shares_by_strength(cases: list[Case]) -> list[Group]:
-    """Figures by strength of the hidden effect, of effects of the catalogue."""
+    """Shares of hidden effects detected and named, by strength.
+
+    They are effects of the catalogue.
+    """
 
     def group(h: Hidden) -> str | None:
         k = int(np.searchsorted(BINS, h.strength, side="right"))

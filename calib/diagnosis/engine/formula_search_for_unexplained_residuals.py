@@ -1,4 +1,4 @@
-"""Search of a formula for an unexplained remainder.
+"""Search of a formula for residuals that nothing explains.
 
 Over a library of functions of covariates.
 

@@ -41,7 +41,7 @@ class FewestConfigurations:
     left: Floats
 
 
-def fewest_configurations(
+def fewest_configurations_for_accuracy(
     mechanism: Commanded,
     promise: float,
     sigmas: tuple[float, float],
@@ -50,8 +50,9 @@ def fewest_configurations(
     progress: Callable[[int, int], None] | None = None,
     exclusion: ConfigurationExclusion | None = None,
 ) -> FewestConfigurations:
-    """Fewest configurations found that keep a promise (m), in addition to those given (k, axes).
+    """Fewest configurations that keep a promised accuracy (m).
 
+    They are those found, in addition to those given (k, axes).
     sigmas : (m, rad) standard deviations of a measured pose, per axis, each pose's own; progress : called with (done,
         of)
     exclusion : which of configurations (n, axes) are not to be visited, (n,) bool, or None where all may be

@@ -1,4 +1,4 @@
-"""Two struts to one hinge in the plane.
+"""Planar mechanism of two struts to one hinge.
 
 Plane z = 0: kinematics of the configuration-space patent's example.
 """
@@ -25,7 +25,7 @@ def inverse(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
 
 
 def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
-    """Jacobian of the strut lengths.
+    """Jacobian of the strut lengths by the pose.
 
     Returns (..., 2, 6), by the pose's tangent on the right
     """
@@ -95,7 +95,7 @@ def home_values(planar: Planar2) -> Floats:
 
 
 def axis_forces_and_torques(T: RigidTransform, lengths: Floats, planar: Planar2, wrench: Floats) -> Floats:
-    """Axis loads (n, 2) N of the struts that hold a wrench.
+    """Axis forces (n, 2) N of the struts that hold a wrench.
 
     Pushing, with a wrench (n, 6) on the hinge; a guide takes the rest.
     """
@@ -105,7 +105,7 @@ def axis_forces_and_torques(T: RigidTransform, lengths: Floats, planar: Planar2,
 
 
 def link_weight_loads(T: RigidTransform, lengths: Floats, planar: Planar2, gravity: Floats) -> Floats:
-    """Empty loads (n, 2, 0).
+    """Loads of link weight (n, 2, 0), which two struts have none of.
 
     The mechanism has no arm links, and the base carries the struts.
     """
@@ -115,7 +115,9 @@ def link_weight_loads(T: RigidTransform, lengths: Floats, planar: Planar2, gravi
 def axis_deviation_and_sway_by_member_growth(
     T: RigidTransform, lengths: Floats, planar: Planar2, share: Floats
 ) -> tuple[Floats, Floats]:
-    """Deviation (n, 2) m and sway (n, 6) by the growth of struts by shares (n, 2) of their length.
+    """Axis deviation (n, 2) m and sway (n, 6) by growth of members, which are struts.
+
+    They grow by shares (n, 2) of their length.
 
     No sway.
     """
@@ -128,7 +130,7 @@ def inverse_kinematics_jacobian(T: RigidTransform, lengths: Floats, planar: Plan
 
 
 def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -> Floats:
-    """Rows (n, 2, 6) of the strut lengths' Jacobian with the pose.
+    """Rows (n, 2, 6) of the Jacobian, one for each strut.
 
     One for each strut, at poses T (n,).
 
@@ -138,7 +140,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """None, whatever the lengths (n, 2) m: two struts have no arm links to draw."""
+    """Link points, which two struts of lengths (n, 2) m have none of."""
     return None
 
 

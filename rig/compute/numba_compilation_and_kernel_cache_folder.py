@@ -1,5 +1,6 @@
-"""Numba kernels, compiled lazily, with a private cache folder.
+"""Numba compilation of kernels, and their cache folder.
 
+Kernels are compiled lazily; the folder is private.
 Files in the cache are loaded as code, so their folder must be private.
 """
 
@@ -47,7 +48,10 @@ class CompilerOptions(TypedDict, total=False):
 
 
 def set_kernel_cache_folder() -> None:
-    """Set numba's cache folder for compiled kernels, before numba is imported, unless the user has set one."""
+    """Set numba's cache folder for compiled kernels.
+
+    Before numba is imported, and unless the user has set one.
+    """
     folder = kernel_cache_folder()
     if folder is not None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
@@ -55,7 +59,10 @@ def set_kernel_cache_folder() -> None:
 
 @cache
 def kernel_cache_folder() -> Path | None:
-    """The cache folder for compiled kernels, None where numba writes next to the sources."""
+    """The cache folder for compiled kernels.
+
+    None where numba writes next to the sources.
+    """
     source_cache = HERE / "__pycache__"
     return (
         None

@@ -62,7 +62,10 @@ class Below:
 
 
 def tilt_readings(recording: Recording, t: Floats) -> TiltReadings | None:
-    """TiltReadings of those sensors of a recording that were logged, at times t (n,) s; None without any."""
+    """TiltReadings of a recording at times t (n,) s.
+
+    They are of those sensors that were logged; None without any.
+    """
     design, log = recording.design, recording.sensors
     if log is None:
         return None
@@ -209,9 +212,11 @@ def add_chain_stage_measurements(
 
 
 def samples_of_movable_coordinates(samples: Samples, mechanism: Mechanism) -> Samples:
-    """Samples of a mechanism, with what tilt sensors on its platform add to its poses; of fewer freedoms than six, only
-    those of its platform's coordinates count as measured. The other coordinates are as at home and their covariance is
-    0: no axis moves them, and what is seen of them says how the target sits on the platform.
+    """Samples of the coordinates that a mechanism can move.
+
+    They have what tilt sensors on its platform add to its poses; of fewer freedoms than six, only those of its
+    platform's coordinates count as measured. The other coordinates are as at home and their covariance is 0: no axis
+    moves them, and what is seen of them says how the target sits on the platform.
     """
     if samples.tilts is not None and not has_links(mechanism):
         poses = samples.T_base_platform, samples.covariance, samples.common
@@ -231,7 +236,10 @@ def samples_of_movable_coordinates(samples: Samples, mechanism: Mechanism) -> Sa
 
 
 def pose_covariance_pseudoinverse(covariance: Floats) -> Floats:
-    """Pseudoinverse (n, 6, 6) of pose covariances, 0 in the directions in which a machine has no freedom."""
+    """Pseudoinverse (n, 6, 6) of pose covariances.
+
+    It is 0 in the directions in which a machine has no freedom.
+    """
     none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
     return cast(Floats, np.linalg.inv(covariance + none) - none)
 
@@ -269,8 +277,9 @@ def sample_recording(
     on_corners: Callable[[Corners], None] | None = None,
     several_hands: bool = False,
 ) -> Sampled:
-    """Samples of a recording (Sampled): from its instrument's poses, its corners or images, or poses.csv.
+    """Samples of a recording (Sampled).
 
+    They come from its instrument's poses, its corners or images, or poses.csv.
     progress : called with (label, done, of), or None; on_corners : called with the Corners before they are measured, or
         None; several_hands : whether poses may be of several hands
     Raises RigError without commands, and for poses of several hands that may not be, NotEnoughData without poses, and

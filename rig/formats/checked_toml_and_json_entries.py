@@ -1,4 +1,4 @@
-"""Checked entries of a TOML or JSON table; errors name file, line, column and key."""
+"""Checked entries of TOML and JSON files, with errors that name file, line, column and key."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Limits(TypedDict, total=False):
 
 
 def nearest_known_word(word: str, known: Iterable[object], cutoff: float = 0.7) -> str | None:
-    """The nearest known word, of which a word is likely a misspelling, or None.
+    """The nearest known word to one that is likely misspelt, or None.
     cutoff : of difflib's ratio, least of what counts as near
     """
     near = difflib.get_close_matches(
