@@ -98,14 +98,14 @@ class CorrectionResult(OneLineRepr):
         """Names of the values of a command: axes, or a pose's."""
         if self.pose_frames is None:
             return self.calibration.correction.nominal.axes
-        return HEXAPOD_AXES if self.pose_frames.mm_and_degrees else POSE_COLUMNS
+        return HEXAPOD_AXES if self.pose_frames.angles else POSE_COLUMNS
 
     @property
     def units(self) -> tuple[str, ...]:
         """SI units of the values of a command; none of what a controller takes, which is in mm and degrees."""
         if self.pose_frames is None:
             return mechanisms.axis_units(self.calibration.correction.nominal)
-        return ("",) * 6 if self.pose_frames.mm_and_degrees else POSE_UNITS
+        return ("",) * 6 if self.pose_frames.angles else POSE_UNITS
 
     def commands(self, values: Floats, pose: Integers) -> Floats:
         """(m, columns) to command for values (m, axes) m or rad, near the wanted poses of indices pose (m,): the same,
@@ -117,7 +117,8 @@ class CorrectionResult(OneLineRepr):
         near = self.wanted.poses.T_base_platform[self.index[pose]]
         nominal = self.calibration.correction.nominal
         command = pose_commands_for_controller_with_own_kinematics(nominal, values, near, self.pose_frames)
-        return xyz_mm_uvw_degrees_of_poses(command) if self.pose_frames.mm_and_degrees else pose_to_vector(command)
+        angles = self.pose_frames.angles
+        return xyz_mm_uvw_degrees_of_poses(command, angles) if angles else pose_to_vector(command)
 
     @property
     def covariance(self) -> Floats | None:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from rig.formats.numbers_and_units import LengthAndAngleUnits
     from rig.recording.wanted_poses_and_roll_pitch_yaw import WantedPoses
 
+ANGLES_OF_KINDS = {"gcs": "moving", "hxp": "moving", "symetrie": "fixed"}  # of --as, for controllers' own forms
+TURNING_SYSTEMS = {"hxp": "Tool", "symetrie": "Object"}  # about whose origin such a controller turns
+
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the arguments of `rig correct` to a parser."""
@@ -89,11 +92,12 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--as",
         dest="kind",
-        choices=("lengths", "poses", "gcs", "hxp"),
+        choices=("lengths", "poses", *ANGLES_OF_KINDS),
         default="lengths",
         help="what the controller takes: axis values (the default), or poses of a hexapod, frame,x,y,z,rx,ry,rz: "
-        "its own nominal kinematics, that of rig.toml, makes the corrected lengths of them; gcs, hxp: "
-        "the same as MOV of PI and HexapodMoveAbsolute of Newport take it, frame,X,Y,Z,U,V,W, mm and degrees",
+        "its own nominal kinematics, that of rig.toml, makes the corrected lengths of them; gcs, hxp, symetrie: "
+        "the same as MOV of PI, HexapodMoveAbsolute of Newport and C_MOVE_PTP of Symétrie take it, "
+        "frame,X,Y,Z,U,V,W, mm and degrees",
     )
     for name, text in (
         ("work", "frame in the base frame, x,y,z,rx,ry,rz, m and rad"),
@@ -101,7 +105,7 @@ def arguments(parser: ArgumentParser) -> None:
         ("pivot", "point in the tool frame, x,y,z, m, that a turn leaves where it is (SPI)"),
     ):
         parser.add_argument(
-            f"--{name}", metavar="NUMBERS", help=f"of --as poses, gcs and hxp: the controller's {name} {text}"
+            f"--{name}", metavar="NUMBERS", help=f"of --as poses, gcs, hxp and symetrie: the controller's {name} {text}"
         )
     parser.add_argument(
         "--units",
@@ -201,10 +205,11 @@ def _pose_frames(arguments: Namespace, units: LengthAndAngleUnits) -> PoseFrames
     given = {name: getattr(arguments, name) for name in ("work", "tool", "pivot")}
     if arguments.kind == "lengths":
         if any(text is not None for text in given.values()):
-            raise RigError("--work, --tool and --pivot apply to --as poses, gcs and hxp")
+            raise RigError("--work, --tool and --pivot apply to --as poses, gcs, hxp and symetrie")
         return None
-    if arguments.kind == "hxp" and given["pivot"] is not None:
-        raise RigError("--pivot: an HXP turns about the origin of its Tool coordinate system; state that as --tool")
+    system = TURNING_SYSTEMS.get(arguments.kind)
+    if system is not None and given["pivot"] is not None:
+        raise RigError(f"--pivot: it turns about the origin of its {system} coordinate system; state that as --tool")
     numbers = {}
     for name, text in given.items():
         count = 3 if name == "pivot" else 6
@@ -216,7 +221,7 @@ def _pose_frames(arguments: Namespace, units: LengthAndAngleUnits) -> PoseFrames
             raise RigError(f"--{name} takes {count} numbers separated by commas, {units}, not {text!r}")
         numbers[name] = units.si(np.array(numbers[name]), ["m"] * 3 + ["rad"] * (count - 3)).tolist()
     work, tool = (pose(numbers[name][:3], numbers[name][3:]) for name in ("work", "tool"))
-    return PoseFrames(work, tool, np.array(numbers["pivot"]), arguments.kind in ("gcs", "hxp"))
+    return PoseFrames(work, tool, np.array(numbers["pivot"]), ANGLES_OF_KINDS.get(arguments.kind))
 
 
 def _start(text: str, axis_units: tuple[str, ...], units: LengthAndAngleUnits) -> Floats | None:

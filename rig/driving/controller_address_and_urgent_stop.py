@@ -34,6 +34,7 @@ STOPS = {
     "gcs": b"\x18",
     "gcs-hexapod": b"\x18",
     "hxp": b"0 GroupMoveAbort(HEXAPOD)\n",
+    "symetrie": b"c_cmd=C_STOP\n",
     "linuxcnc": b"SET ABORT\r\n",
     "struts": b"!",
     "urscript": b"stopj(3)\n",  # rad/s^2

@@ -21,8 +21,8 @@ from rig.model.protocol_port_and_user_program_name_checks import PROTOCOLS as PR
 class Controller:
     """What drives the axes.
 
-    protocol : grblhal, gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, epics-hexapod, urscript, "file:NAME.py" or
-    "package:NAME"; baudrate : bit/s; usb : serial number or hardware id of the port, or ""
+    protocol : grblhal, gcs, gcs-hexapod, hxp, symetrie, linuxcnc, struts, epics, epics-hexapod, urscript,
+    "file:NAME.py" or "package:NAME"; baudrate : bit/s; usb : serial number or hardware id of the port, or ""
     port : device, or URL socket://, rfc2217://, ca:// (EPICS), xps:// (hxp), ur:// (urscript), loop:// (tests)
     axes : the controller's names of them, () for usual ones; homing : whether it can home; else its first reading is
     believed; zero : (n,) m or rad, an axis's value where it reads 0; home : (n,) m or rad, after homing, or None

@@ -6,9 +6,25 @@ It imports nothing that takes time.
 import re
 from urllib.parse import urlsplit
 
-PROTOCOLS = ("grblhal", "gcs", "gcs-hexapod", "hxp", "linuxcnc", "struts", "epics", "epics-hexapod", "urscript")
+PROTOCOLS = (
+    "grblhal",
+    "gcs",
+    "gcs-hexapod",
+    "hxp",
+    "symetrie",
+    "linuxcnc",
+    "struts",
+    "epics",
+    "epics-hexapod",
+    "urscript",
+)
 TURN = ("grblhal", "linuxcnc", "struts", "urscript")  # whose axes may be joints that turn
-TAKE_POSES = ("gcs-hexapod", "hxp", "epics-hexapod")  # controllers of hexapods, with kinematics and frames of their own
+TAKE_POSES = (
+    "gcs-hexapod",
+    "hxp",
+    "symetrie",
+    "epics-hexapod",
+)  # controllers of hexapods, with kinematics and frames of their own
 MOTOR_RECORDS = ("epics", "epics-hexapod")  # whose axes are names of EPICS motor records
 ANGLES = {"moving": "XYZ", "fixed": "xyz"}  # of U, V, W, in this order: SciPy's names of the axes that they turn about
 STATE_ANGLES = ("hxp", "epics-hexapod")  # whose controllers may have either

@@ -30,6 +30,7 @@ from rig.driving.emulators.grblhal import GrblHAL
 from rig.driving.emulators.linuxcnc import LinuxCNC
 from rig.driving.emulators.native_strut_protocol import Struts
 from rig.driving.emulators.newport_hxp import NewportHexapod
+from rig.driving.emulators.symetrie import SymetrieHexapod
 from rig.driving.emulators.tcp_servers_of_emulators import ByteServer
 from rig.driving.emulators.urscript import RealTimeServer, UniversalRobot
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
@@ -128,6 +129,8 @@ def emulator_of_design(
         return GCSHexapod(machine, faults, clock, require_hexapod(m), limits, c.work, c.tool)
     if c.protocol == "hxp":
         return NewportHexapod(machine, faults, clock, limits, require_hexapod(m), c.work, c.tool, c.angles)
+    if c.protocol == "symetrie":
+        return SymetrieHexapod(machine, faults, clock, limits, require_hexapod(m), c.work, c.tool)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     if c.protocol == "linuxcnc":

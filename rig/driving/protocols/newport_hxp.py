@@ -19,7 +19,12 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.poses_of_hexapod_controllers import MM, PosesForLengths
+from rig.driving.protocols.poses_of_hexapod_controllers import (
+    EXACT,
+    MM,
+    PosesForLengths,
+    require_unchanged_coordinate_systems,
+)
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     NUMBERS,
     POLL,
@@ -40,7 +45,7 @@ from rig.model.mechanism_geometry_classes import Hexapod
 GROUP = "HEXAPOD"
 STRUTS = tuple(f"{GROUP}.{i + 1}" for i in range(6))
 POSITIONS = ("HexapodPositionCurrentGet", "GroupPositionCurrentGet")  # of XPS-D firmware; of that before it
-SYSTEMS = ("Work", "Tool")
+SYSTEMS = {"Work": "work", "Tool": "tool"}  # coordinate systems: keys of [controller]
 READY = {*range(10, 20), 56, 70, 77, 79}  # group states
 DISABLED = {*range(20, 40), 58, 59, *range(74, 77), *range(80, 83), *range(84, 104)}
 HOMING, MOVING = {41, 43, 64}, {*range(44, 50), 51}
@@ -50,7 +55,6 @@ INITIALISED = 42
 ABORTED = -27  # error of a move that was stopped
 AT_ONCE = 0.05  # s in which a call that cannot begin is refused
 BEGIN = 2.0  # s in which one that was sent has begun
-EXACT = 1e-6  # share by which a figure may differ that is read back
 NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
 _ANSWER = re.compile(r"(\d+) (-?\d+),(.*),EndOfAPI")
 
@@ -85,12 +89,7 @@ class HXP(LineProtocol):
         return f"Newport {firmware}, group {GROUP}"
 
     def fence(self) -> Dialogue[bool]:
-        for name, before, now in zip(SYSTEMS, self._systems, (yield from self._coordinate_systems())):
-            if not np.allclose(before, now, rtol=0, atol=EXACT):
-                raise ControllerFault(
-                    f"another program has set the controller's {name} coordinate system, from {before.tolist()} to "
-                    f"{now.tolist()} (mm, degrees): state {name.lower()} in [controller] as it is now, and connect anew"
-                )
+        require_unchanged_coordinate_systems(SYSTEMS, self._systems, (yield from self._coordinate_systems()))
         state = yield from self.state()
         return bool(state.homed) or not self._homed
 

@@ -9,6 +9,7 @@ U, V, W turn about axes that move along, in this order: R = Rx(U) Ry(V) Rz(W), w
 angles. Of controllers where that is not certain, rig.toml may state axes that stay: R = Rz(W) Ry(V) Rx(U).
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
+from rig.errors import ControllerFault
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose
@@ -24,6 +26,7 @@ from rig.model.protocol_port_and_user_program_name_checks import ANGLES
 AXES = ("X", "Y", "Z", "U", "V", "W")
 NONE = pose([0, 0, 0], [0, 0, 0])
 MM = 1e3  # per m
+EXACT = 1e-6  # mm and degrees by which a coordinate system may differ that is read anew
 
 
 def xyz_mm_uvw_degrees_of_poses(T: RigidTransform, angles: str = "moving") -> Floats:
@@ -42,14 +45,14 @@ def poses_of_xyz_mm_uvw_degrees(values: ArrayLike, angles: str = "moving") -> Ri
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFrames:
     """Frames in which a controller takes poses. work : T_base_work; tool : T_platform_tool; pivot : (3,) m in the
-    tool's frame: the point that a turn leaves where it is (SPI); mm_and_degrees : whether poses are written as
-    controllers take them, X .. W, and not in m and as a rotation vector
+    tool's frame: the point that a turn leaves where it is (SPI); angles : of ANGLES, where poses are written
+    as controllers take them, X .. W in mm and degrees; None where in m and as a rotation vector
     """
 
     work: RigidTransform = NONE
     tool: RigidTransform = NONE
     pivot: Floats = field(default_factory=lambda: np.zeros(3))
-    mm_and_degrees: bool = False
+    angles: str | None = None
 
     def command_of_pose(self, T_base_platform: RigidTransform) -> RigidTransform:
         """What is commanded for poses (...): the pose of the tool in the work frame, its translation (m) that of the
@@ -98,3 +101,18 @@ class PosesForLengths:
         """(..., 6) m, positions of the struts for which X .. W (..., 6), mm and degrees, stand."""
         T = self.frames.pose_of_command(poses_of_xyz_mm_uvw_degrees(values, self.angles))
         return mechanisms.hexapod.inverse(T, self.hexapod) - self.zero
+
+
+def require_unchanged_coordinate_systems(
+    keys: Mapping[str, str], before: Sequence[Floats], now: Sequence[Floats]
+) -> None:
+    """Raise ControllerFault where a controller's coordinate systems, (6,) mm and degrees each, are others than before.
+
+    keys : of [controller], by the controller's names of its systems, in their order
+    """
+    for (name, key), was, found in zip(keys.items(), before, now):
+        if not np.allclose(was, found, rtol=0, atol=EXACT):
+            raise ControllerFault(
+                f"another program has set the controller's {name} coordinate system, from {was.tolist()} to "
+                f"{found.tolist()} (mm, degrees): state {key} in [controller] as it is now, and connect anew"
+            )

@@ -240,6 +240,10 @@ class LineProtocol:
         """Text of a line that came; "" for one whose check sum is wrong."""
         return line
 
+    def answer_ended_by_last_line(self, lines: Sequence[str]) -> str:
+        """Text of the answer that ends with the last of the lines that came, "" where none does."""
+        return self.decode(lines[-1]).strip()
+
     def event(self, line: str) -> str:
         """Content of an unsolicited line: "restarted", an alarm in words, or "" for nothing."""
         return ""
@@ -303,7 +307,7 @@ class LineProtocol:
         whole = re.compile(pattern.replace("#", str(self._number)))
 
         def answer(lines: Sequence[str]) -> re.Match[str] | None:
-            return whole.fullmatch(self.decode(lines[-1]).strip())
+            return whole.fullmatch(self.answer_ended_by_last_line(lines))
 
         lines = yield Exchange(data, lambda lines: answer(lines) is not None)
         return None if lines is None else answer(lines)

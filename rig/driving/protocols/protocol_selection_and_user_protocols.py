@@ -23,6 +23,7 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     Verdict,
     user_protocol_state_problem,
 )
+from rig.driving.protocols.symetrie import Symetrie
 from rig.driving.protocols.urscript import URScript
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
     first_missing_member_of_user_class,
@@ -67,6 +68,9 @@ def protocol_of_controller(controller: Controller, mechanism: Commanded) -> Prot
         return GCSHexapod(hexapod, controller.zero, controller.work, controller.tool)
     if controller.protocol == "hxp":
         return HXP(controller, require_hexapod(mechanism, "hxp drives a hexapod, not a mechanism of kind {kind!r}"))
+    if controller.protocol == "symetrie":
+        hexapod = require_hexapod(mechanism, "symetrie drives a hexapod, not a mechanism of kind {kind!r}")
+        return Symetrie(controller, hexapod)
     if controller.protocol == "struts":
         return Struts(axis_count, controller.watchdog)
     if controller.protocol == "linuxcnc":

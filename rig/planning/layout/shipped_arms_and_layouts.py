@@ -47,7 +47,7 @@ rotation_sigma = 1e-4   # rad
 
 CONTROLLER = """
 [controller]            # what drives the struts
-protocol = "grblhal"    # or gcs, gcs-hexapod, hxp, linuxcnc, struts, epics, epics-hexapod, or "file:mine.py"
+protocol = "grblhal"    # or gcs, gcs-hexapod, hxp, symetrie, linuxcnc, struts, epics, epics-hexapod, or "file:mine.py"
 # port = "/dev/ttyACM0" # state it: a device, socket://HOST:PORT or rfc2217://HOST:PORT; until then give --port
 homing = true           # false: it cannot home, and what it reads at the start is believed
 zero = 0.0              # m, a strut's length, joint centre to joint centre, where the controller counts 0

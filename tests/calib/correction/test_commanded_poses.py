@@ -99,7 +99,7 @@ def test_an_emulated_hexapod_controller_with_its_own_geometry_comes_as_near_as_b
 
     wanted = wanted_poses(nominal, 20)
     lengths = Correction(nominal, fitted, (None,) * 6).inverse_without_physics(wanted)
-    frames = PoseFrames(work=nominal.home, pivot=pivot, mm_and_degrees=True)
+    frames = PoseFrames(work=nominal.home, pivot=pivot, angles="moving")
     commands = xyz_mm_uvw_degrees_of_poses(
         pose_commands_for_controller_with_own_kinematics(nominal, lengths, wanted, frames)
     )
