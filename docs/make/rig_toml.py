@@ -244,7 +244,7 @@ KEY_TEXTS = {  # of keys that are not fields, or not those alone
     "right, y up, z out of the paper",
     ("[[target]]", "first"): FIRST,
     ("[controller]", "work"): "T_base_work, the frame in which a hexapod's own controller (gcs-hexapod, hxp, "
-    "epics-hexapod) takes poses",
+    "symetrie, epics-hexapod) takes poses",
     ("[controller]", "tool"): "T_platform_tool, the frame whose poses these are",
     ("[[target]]", "legacy"): LEGACY,
     ('[mechanism] kind = "hexapod"', "followers"): "numbers, from 1, of the struts beyond six that bear no force while "

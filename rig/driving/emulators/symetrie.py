@@ -5,6 +5,7 @@ ready at once when it is switched on, and does not home by itself.
 """
 
 import re
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,7 +18,6 @@ from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators imp
 from rig.driving.protocols.poses_of_hexapod_controllers import poses_of_xyz_mm_uvw_degrees
 from rig.driving.protocols.symetrie import (
     ACK,
-    ANGLES_KIND,
     CONTROL_ON,
     ERROR,
     HOMED,
@@ -27,6 +27,7 @@ from rig.driving.protocols.symetrie import (
     MOTION,
     STATUS,
     SYSTEMS,
+    TURNS,
     Symetrie,
 )
 from rig.errors import NotConverged
@@ -59,7 +60,7 @@ class SymetrieHexapod(LineEmulator):
         tool: RigidTransform | None,
     ) -> None:
         super().__init__(machine, faults, clock, limits)
-        self.platform, self.buffer = EmulatedPlatform(geometry, work, tool, ANGLES_KIND), 4096  # TCP drops nothing
+        self.platform, self.buffer = EmulatedPlatform(geometry, work, tool, TURNS), 4096  # TCP drops nothing
         self.systems = {name: np.zeros(6) for name in SYSTEMS}
         self.greet()
 
@@ -164,15 +165,15 @@ class SymetrieHexapod(LineEmulator):
             if not RAMPS[0] <= given[0] <= RAMPS[1]:
                 return -10
             self._ramp = float(given[0])
-        found = {
+        found: Mapping[str, Sequence[float] | Floats] = {
             "VERSION": VERSION,
             "CFG_SPEED": (*self._speeds, *SPEEDS),
             "CFG_TA": (self._ramp, *RAMPS),
             "CFG_CS": np.concatenate([*self.systems.values()]),
-        }.get(name)
-        if found is None:
+        }
+        if name not in found:
             return UNKNOWN
-        self._parameters[: len(found)] = found
+        self._parameters[: len(found[name])] = np.asarray(found[name])
         return ACCEPTED
 
     def _go(self) -> str | None:
@@ -194,7 +195,7 @@ class SymetrieHexapod(LineEmulator):
         self._code = next((code for code, holds in refusals.items() if holds), ACCEPTED)
         if self._code or target is None:
             return ""
-        ends = poses_of_xyz_mm_uvw_degrees(np.stack([self._pose(), values]), ANGLES_KIND)
+        ends = poses_of_xyz_mm_uvw_degrees(np.stack([self._pose(), values]), TURNS)
         way = 1e3 * np.linalg.norm(ends[1].translation - ends[0].translation)
         turn = np.degrees((ends[0].rotation.inv() * ends[1].rotation).magnitude())
         seconds = float(max(way / self._speeds[0], turn / self._speeds[1]))

@@ -37,7 +37,7 @@ from rig.errors import ControllerFault
 from rig.model.design import Controller
 from rig.model.mechanism_geometry_classes import Hexapod
 
-ANGLES_KIND = "fixed"
+TURNS = "fixed"
 ACK = "\x06"  # ends every answer
 MARK = "c_par(19)"
 SYSTEMS = {"User": "work", "Object": "tool"}  # coordinate systems: keys of [controller]
@@ -60,7 +60,7 @@ REASONS = {
     -51: "another command is under way",
     -77: "its kinematics find no solution",
 }
-NUMBER = r"(?:[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|nan)"
+NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,2})?"
 REFUSED = r".*(error \x23\d+.*?)(?: \x06)?"
 
 
@@ -77,24 +77,26 @@ class Symetrie(LineProtocol):
 
     def __init__(self, controller: Controller, hexapod: Hexapod) -> None:
         super().__init__(controller, 6)
-        self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool, ANGLES_KIND)
+        self.poses = PosesForLengths(hexapod, controller.zero, controller.work, controller.tool, TURNS)
         self._systems: list[Floats] | None = None
         self._homed, self._tolerance = False, controller.tolerance
-        self._least_speeds, self._shortest_ramp = np.zeros(2), 0.0  # mm/s and deg/s, s
+        self._least, self._greatest = np.zeros(2), np.zeros(2)  # speeds, mm/s and deg/s
+        self._shortest_ramp = 0.0  # s
 
     def hello(self) -> Dialogue[str]:
         yield from super().ask("echo7", f"(?:.* )?{ACK}")  # numbers alone, without the names of variables
-        yield from self._carried_out("what was sent before")
         values = yield from self._read("c_cmd=C_VERSION", 12)
-        self._least_speeds = (yield from self._read("c_cfg=0 c_cmd=C_CFG_SPEED", 6))[2:4]
+        _, self._least, self._greatest = np.split((yield from self._read("c_cfg=0 c_cmd=C_CFG_SPEED", 6)), 3)
         self._shortest_ramp = float((yield from self._read("c_cfg=0 c_cmd=C_CFG_TA", 3))[1])
-        self._systems, self._homed = None, False
-        yield from self.fence()
+        self._homed = False
+        yield from self.fence()  # after a restart the coordinate systems may be others
         software, interface = (".".join(f"{value:.0f}" for value in values[k : k + 4]) for k in (1, 5))
         return f"Symétrie hexapod {values[9]:.0f}-{values[10]:.0f}, controller {software}, interface {interface}"
 
     def fence(self) -> Dialogue[bool]:
-        yield from self._carried_out("what was sent before")
+        verdict = yield from self._carried_out("what was sent before")
+        if verdict.accepted is None:
+            raise ControllerFault(verdict.reason)
         state = yield from self.state()
         now = np.split((yield from self._read("c_cfg=0 c_cmd=C_CFG_CS", 12)), 2)
         require_unchanged_coordinate_systems(SYSTEMS, self._systems or now, now)
@@ -124,11 +126,11 @@ class Symetrie(LineProtocol):
         turn = (T[0].rotation.inv() * T[1].rotation).magnitude()
         way = MM * np.linalg.norm(np.diff(T.translation, axis=0)), np.degrees(turn)
         wanted = np.array(way) / segment.duration if segment.duration > 0 else np.zeros(2)
-        least = self._least_speeds
-        if wanted.any() and (wanted < least).all():
-            found = f"{wanted[0]:.3g} mm/s and {wanted[1]:.3g} deg/s"
-            return Verdict(False, f"it goes no slower than {least[0]:g} mm/s and {least[1]:g} deg/s, not {found}")
-        speeds = np.maximum(wanted, least)  # the other of the two determines the time
+        if (wanted > self._greatest).any() or (wanted.any() and (wanted < self._least).all()):
+            ranges = zip(self._least, self._greatest, ("mm/s", "deg/s"), wanted)
+            words = (f"{least:g} to {most:g} {unit}, not at {speed:.3g}" for least, most, unit, speed in ranges)
+            return Verdict(False, f"it goes at {' and '.join(words)}: state another max_speed")
+        speeds = np.maximum(wanted, self._least)  # the other of the two determines the time
         verdict = yield from self.command(f"c_cfg=1 {_parameters(speeds)} c_cmd=C_CFG_SPEED")
         going = segment.speed > 0
         if verdict.accepted and segment.acceleration is not None and going.any():
@@ -137,13 +139,14 @@ class Symetrie(LineProtocol):
             verdict = yield from self.command(f"c_cfg=1 {_parameters([ramp])} c_cmd=C_CFG_TA")
         if not verdict.accepted:
             return verdict
-        shift = (yield from self.state()).positions - segment.start
-        if np.abs(shift).max() > self._tolerance:
+        standing = self.poses.positions((yield from self._values(f"s_hexa,{STATUS},1", STATUS))[2:8])
+        if np.abs(standing - segment.start).max() > self._tolerance:
             return Verdict(False, "it no longer stands where the move begins")  # it drifted, as the speeds were set
-        pose = xyz_mm_uvw_degrees_of_poses(T[1], ANGLES_KIND)
+        pose = xyz_mm_uvw_degrees_of_poses(T[1], TURNS)
         return (yield from self.command(f"c_par(0)=0 {_parameters(pose, 1)} c_cmd=C_MOVE_PTP"))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
+        self._homed = False
         verdict = yield from self._controlled()
         if verdict.accepted:
             verdict = yield from self.command(self.home_line)

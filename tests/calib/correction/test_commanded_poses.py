@@ -154,10 +154,15 @@ def test_the_command_writes_poses_as_it_writes_lengths(design, rig_text, tmp_pat
     assert columns == "frame,X,Y,Z,U,V,W"
     np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
     np.testing.assert_allclose(newport[:, 3:], values[:, 3:], atol=1e-9)
+    columns, symetrie = written("symetrie", "--tool", "0,0,0.1,0,0,0", "--work", "0,0,0.2,0,0,0")
+    round_trip = frames.pose_of_command(poses_of_xyz_mm_uvw_degrees(symetrie, "fixed"))
+    np.testing.assert_allclose(pose_difference(round_trip, commanded), 0, atol=1e-9)
+    assert columns == "frame,X,Y,Z,U,V,W" and not np.allclose(symetrie[:, 3:], newport[:, 3:], atol=1e-6)
     capsys.readouterr()
     for options in (
         ["--pivot", "0,0,1"],
         ["--as", "hxp", "--pivot", "0,0,1"],
+        ["--as", "symetrie", "--pivot", "0,0,1"],
         ["--as", "gcs", "--work", "0,0,1"],
         ["--as", "poses", "--tool", "a"],
     ):

@@ -42,6 +42,7 @@ OTHERWISE = ("ok-after-error", "stale-alarm", "homes-on", "drift", "buffer-64")
 WITHOUT_RESETS = (
     "struts",
     "hxp",
+    "symetrie",
     "epics",
     "epics-hexapod",
 )  # they report no alarm by themselves: it is read, with its request's number
