@@ -240,7 +240,7 @@ def _picture(camera: Camera, i: int, f: int, shift: float, stages: list[RigidTra
 
 def _row_time(camera: Camera, effects: Iterable[Effect]) -> float:
     """s from one row to the next, as stated and by effects."""
-    stated = camera.row_time if camera.shutter == "rolling" else 0.0
+    stated = (camera.row_time or 0.0) if camera.shutter == "rolling" else 0.0
     return stated + sum((float(effect.late(camera, np.array(camera.height / 2 + 1.0))) for effect in effects), 0.0)
 
 

@@ -188,15 +188,15 @@ class MeasurementResult(OneLineRepr):
             else None,
             "cameras": cameras,
             "camera_offsets_s": list(m.camera_offsets),
+            "readouts": [one.tree() for one in m.readouts],
             "clocks": [one.tree() for one in self.clocks],
             "verdict": self.verdict.tree(),
         }
 
 
-def camera_time_offset_lines(measured: Measurement) -> list[str]:
-    """Lines on cameras with time offsets.
-
-    A camera has one where it was found to expose at other moments than its times say.
+def camera_time_lines(measured: Measurement) -> list[str]:
+    """A line for each camera that was found to expose at other moments than its times say, or whose readout time is not
+    stated.
     """
     names, lines = [camera.name for camera in measured.design.cameras], []
     for name, offset in zip(names, measured.camera_offsets):
@@ -206,7 +206,17 @@ def camera_time_offset_lines(measured: Measurement) -> list[str]:
                 f"camera {name!r} exposes {abs(offset) * 1e3:.3f} ms {side} than its times say, relative to "
                 f"{names[0]!r}; this is taken into account"
             )
-    return lines
+    known = {one.camera for one in measured.readouts}
+    return [
+        *lines,
+        *map(str, measured.readouts),
+        *(
+            f"the readout time of camera {camera.name!r} is neither stated nor determined by exposures in motion; "
+            "poses at rest do not depend on it"
+            for camera in measured.design.cameras
+            if camera.shutter == "rolling" and camera.row_time is None and camera.name not in known
+        ),
+    ]
 
 
 def too_large_focal_length_adjustment_sentences(stated: Sequence[Camera], adjusted: Sequence[Camera]) -> list[str]:
@@ -359,5 +369,5 @@ def measure(
     clocks = clock_offset_and_drive_lag_by_recording(
         recording, measured.frames, measured.T_base_platform, own, measured.common
     )
-    statement = [*map(str, clocks), *camera_time_offset_lines(measured), *determination.lines()]
+    statement = [*map(str, clocks), *camera_time_lines(measured), *determination.lines()]
     return MeasurementResult(recording, measured, held, collected, moved, statement, wrong, determination, clocks)

@@ -9,8 +9,8 @@ and with the errors that all poses share. A first-order lag of all drives differ
 
 Cameras that expose at other moments than their stamps say see the platform at different places. A delay that all of
 them share moves the measured pose alone; what differs from the first camera remains in the corners' residuals, along
-the direction in which each corner moves. The pose of every frame is eliminated, and so is a delay that grows from row
-to row: a rolling shutter that nobody stated is no difference of stamps.
+the direction in which each corner moves. The pose of every frame is eliminated. A delay that grows from row to row is
+solved for as well, the readout time of a rolling shutter, where nobody stated it.
 """
 
 from collections.abc import Sequence
@@ -250,42 +250,62 @@ class _Problem:
 
 
 FARTHEST = 5.0  # px of a residual, beyond which a corner says nothing of times
-SURE_OFFSET, LEAST = 5.0, 1e-4  # standard deviations, s; a smaller difference counts as none
+SURE_OFFSET, LEAST = 5.0, 1e-4  # standard deviations, s; a smaller difference, or readout time, counts as none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraTimeOffsets:
-    """offset, sigma : (cameras,) s by which each camera exposed later than its stamps say, relative to the first"""
+class CameraTimes:
+    """offset, offset_sigma : (cameras,) s by which each camera exposed later than its stamps say, relative to the
+    first; readout, readout_sigma : (cameras,) s from the exposure of the first image row to that of the last, 0 and
+    infinite where it is stated
+    """
 
     offset: Floats
-    sigma: Floats
+    offset_sigma: Floats
+    readout: Floats
+    readout_sigma: Floats
+
+    def beyond(self, offset: Floats, readout: Floats) -> "CameraTimes":
+        """The times, where those that were estimated are beyond an offset and a readout (cameras,) s."""
+        return replace(self, offset=self.offset + offset, readout=self.readout + readout)
 
     @property
-    def certain(self) -> Floats:
+    def certain_offset(self) -> Floats:
         """(cameras,) s, the offsets that are beyond doubt; 0 for the others."""
-        return np.where(
-            (np.abs(self.offset) > SURE_OFFSET * self.sigma) & (np.abs(self.offset) > LEAST), self.offset, 0.0
-        )
+        return _certain(self.offset, self.offset_sigma)
+
+    @property
+    def certain_readout(self) -> Floats:
+        """(cameras,) s, the readout times that are beyond doubt; 0 for the others."""
+        return _certain(self.readout, self.readout_sigma)
 
 
-def camera_time_offsets(
+def _certain(value: Floats, sigma: Floats) -> Floats:
+    """(cameras,) s, values that are beyond doubt by their standard deviations; 0 for the others."""
+    return np.where((np.abs(value) > SURE_OFFSET * sigma) & (np.abs(value) > LEAST), value, 0.0)
+
+
+def camera_times(
     observations: Observations,
     delayed_observations: Observations,
     delay: float,
     residuals: Floats,
     state: State,
     moving: Booleans,
-) -> CameraTimeOffsets | None:
-    """Time offsets of cameras (CameraTimeOffsets).
+    is_readout_stated: Booleans,
+) -> CameraTimes | None:
+    """Time offsets and readout times of cameras (CameraTimes).
 
-    They are fixed cameras; None where too few frames move, or one camera alone sees them.
+    They are fixed cameras; None where too few frames move, or these do not determine them.
+
     observations : of solved frames, with the motion to each corner's exposure; delayed_observations : the same with all
-    exposures later by delay (s); residuals : (n, 2) px; state : State of these frames; moving : (F,) whether they move
+    exposures later by delay (s); residuals : (n, 2) px; state : State of these frames; moving : (F,) whether they move;
+    is_readout_stated : (cameras,) whether the time of each row is stated, and is no unknown
     """
     count = len(state.cameras)
     near = np.isfinite(residuals[:, 0]) & (np.nan_to_num(np.abs(residuals)).max(axis=1) < FARTHEST)
     rows = np.flatnonzero(observations.on_platform & moving[observations.frame] & near)
-    if count < 2 or len(np.unique(observations.frame[rows])) < FEWEST:
+    if len(np.unique(observations.frame[rows])) < FEWEST:
         return None
     seen, shown = observations.take(rows), predict_corners(observations.take(rows), state)[0]
     speed = (predict_corners(delayed_observations.take(rows), state)[0] - shown) / delay  # px/s
@@ -294,15 +314,12 @@ def camera_time_offsets(
         J[at] = J_platform
     own_camera = seen.camera[:, None, None] == np.arange(count)
     rows_late = seen.uv[:, 1] / np.array([camera.height for camera in state.cameras])[seen.camera] - 0.5
-    unstated = [camera.shutter != "rolling" for camera in state.cameras]
-    late = rows_late[:, None, None] * own_camera[..., unstated]
+    late = rows_late[:, None, None] * own_camera[..., ~is_readout_stated]
     G = speed[..., None] * np.concatenate([own_camera[..., 1:], late], axis=2)
     width = G.shape[2]
     normal, right, squares, free = np.zeros((width, width)), np.zeros(width), 0.0, 0
     for frame in np.unique(seen.frame):
         own = seen.frame == frame
-        if len(np.unique(seen.camera[own])) < 2:
-            continue
         Q, _ = np.linalg.qr(J[own].reshape(-1, 6))
         left = np.column_stack([G[own].reshape(-1, width), residuals[rows[own]].ravel()])
         left -= Q @ (Q.T @ left)
@@ -310,9 +327,11 @@ def camera_time_offsets(
         right += left[:, :-1].T @ left[:, -1]
         squares += float(left[:, -1] @ left[:, -1])
         free += len(left) - 6
-    if free <= width or np.linalg.matrix_rank(normal) < width:
+    if not 0 < width < free or np.linalg.matrix_rank(normal) < width:
         return None
     found = np.linalg.solve(normal, right)
     scale = max(squares - float(found @ right), 0.0) / (free - width)
     sigma = np.sqrt(scale * np.diag(np.linalg.inv(normal)))
-    return CameraTimeOffsets(np.r_[0.0, found[: count - 1]], np.r_[0.0, sigma[: count - 1]])
+    readout, readout_sigma = np.zeros(count), np.full(count, np.inf)
+    readout[~is_readout_stated], readout_sigma[~is_readout_stated] = found[count - 1 :], sigma[count - 1 :]
+    return CameraTimes(np.r_[0.0, found[: count - 1]], np.r_[0.0, sigma[: count - 1]], readout, readout_sigma)

@@ -5,8 +5,8 @@ It is removed from poses, as a rolling shutter needs.
 A corner in row v of a rolling shutter is exposed (v - height / 2) * row_time after its camera's time, which may itself
 be later than the frame's. The platform has moved on by then, at the rate that commands state. Where it speeds up, this
 rate depends on the clocks of cameras and commands and on the lag of the drives. They are solved for by the poses
-themselves (vision.clock_offset_drive_lag_and_camera_time_offset_estimation) where these move enough; how well they
-are known is in the covariance of the pose.
+themselves (vision.clock_offset_drive_lag_and_camera_time_offset_estimation) where these move enough, and so is a
+row_time that is not stated. How well they are known is in the covariance of the pose.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,16 +14,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Design
 from rig.model.motion_simulation import simulate_machine_run
 from rig.model.pose import exp
 from rig.recording.exposures_and_image_files import SIMULTANEOUS
 from rig.recording.recording_folder import Recording
+from vision.camera_readout_time import Readout, known_row_time
 from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
+    CameraTimes,
     Clocks,
     are_commands_changing,
-    camera_time_offsets,
+    camera_times,
     clock_offset_and_drive_lag_by_recording,
     recording_with_clock_offset_and_lag_applied,
 )
@@ -34,18 +36,23 @@ from vision.recording_adjustment import Measurement
 AFTER = 1e-3  # s by which exposures are moved for a derivative
 ROUNDS = 3  # of finding by how much cameras' times differ
 APART = 0.02  # s by which clocks may be apart and drives behind, standard deviation where nobody knows
+READOUT = 0.02  # s from the first row to the last, standard deviation where nobody knows
+SETTLED = 0.2  # standard deviations by which times that are found may still change
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rates:
     """rate, curvature : (F, 6) tangents on the right, per s and per s^2, of the platform at exposures
-    delays : (F, cameras) s by which cameras exposed after a frame's time; apart : s, standard deviation of the moment
-    at which the rates are taken
+    delays : (F, cameras) s by which cameras exposed after a frame's time; row_time, row_time_sigma : (cameras,) s from
+    one row to the next, with standard deviation; apart : s, standard deviation of the moment at which the rates are
+    taken
     """
 
     rate: Floats
     curvature: Floats
     delays: Floats
+    row_time: Floats
+    row_time_sigma: Floats
     apart: float = APART
 
 
@@ -57,7 +64,7 @@ def commanded_rates(recording: Recording, clocks: Sequence[Clocks] = ()) -> Rate
     Raises what `simulate_machine_run` does
     """
     design, delays = recording.design, recording.exposures.delays([camera.name for camera in recording.design.cameras])
-    if recording.commands is None or (len(design.cameras) < 2 and not _are_rows_late(design)):
+    if recording.commands is None or (len(design.cameras) < 2 and not _has_late_rows(design).any()):
         return None
     recording = recording_with_clock_offset_and_lag_applied(recording, clocks)
     commands, (_, t) = recording.commands, recording.exposures.times()
@@ -66,28 +73,39 @@ def commanded_rates(recording: Recording, clocks: Sequence[Clocks] = ()) -> Rate
     if not moving.any():
         return None
     apart = max([one.offset_sigma for one in clocks], default=APART)
-    rates = Rates(np.zeros((len(t), 6)), np.zeros((len(t), 6)), delays, apart)
+    row_time = np.array([known_row_time(camera) for camera in design.cameras])
+    unknown = ~_is_readout_stated(design) & _has_late_rows(design)
+    row_time_sigma = np.where(unknown, READOUT, 0.0) / _heights(design)
+    rates = Rates(np.zeros((len(t), 6)), np.zeros((len(t), 6)), delays, row_time, row_time_sigma, apart)
     run = simulate_machine_run(design, commands, t[moving], (), recording.sensors, rates=True)
     rates.rate[moving], rates.curvature[moving] = run.rate, run.curvature
     return rates
 
 
-def _are_rows_late(design: Design) -> bool:
-    """Whether a camera is stated to expose row by row."""
-    return any(camera.shutter == "rolling" for camera in design.cameras)
+def _has_late_rows(design: Design) -> Booleans:
+    """(cameras,) whether each is stated to expose row by row."""
+    return np.array([camera.shutter == "rolling" for camera in design.cameras])
+
+
+def _is_readout_stated(design: Design) -> Booleans:
+    """(cameras,) whether the time of each row is stated."""
+    return np.array([camera.shutter == "rolling" and camera.row_time is not None for camera in design.cameras])
+
+
+def _heights(design: Design) -> Floats:
+    """(cameras,) px."""
+    return np.array([camera.height for camera in design.cameras], float)
 
 
 def _late(observed: Observations, design: Design, rates: Rates) -> Floats:
     """(n,) s by which corners are exposed after their frame's time; 0 on the base."""
     delay = rates.delays[observed.frame, observed.camera]
-    return np.where(observed.on_platform, delay + _read_out(observed, design), 0.0)
+    return np.where(observed.on_platform, delay + _rows(observed, design) * rates.row_time[observed.camera], 0.0)
 
 
-def _read_out(observed: Observations, design: Design) -> Floats:
-    """(n,) s by which corners are exposed after their camera's time."""
-    row_time = np.array([c.row_time if c.shutter == "rolling" else 0.0 for c in design.cameras])[observed.camera]
-    middle = np.array([c.height / 2 for c in design.cameras])[observed.camera]
-    return np.asarray((observed.uv[:, 1] - middle) * row_time)
+def _rows(observed: Observations, design: Design) -> Floats:
+    """(n,) px by which corners lie below the middle of their image."""
+    return np.asarray(observed.uv[:, 1] - _heights(design)[observed.camera] / 2)
 
 
 def observations_with_readout_motion(observed: Observations, design: Design, rates: Rates) -> Observations:
@@ -100,73 +118,123 @@ def observations_with_readout_motion(observed: Observations, design: Design, rat
 def measurement_with_uncertainty_of_rates(measured: Measurement, rates: Rates) -> Measurement:
     """The Measurement with the uncertainty of rates.
 
-    With what rates that are taken at another moment would make of its poses.
+    With what rates that are taken at another moment, and other row times, would make of its poses.
     """
     o = measured.observations
-    count = np.bincount(o.frame, o.on_platform, len(o.frames))
-    late = np.bincount(o.frame, _late(o, measured.design, rates), len(o.frames)) / np.maximum(count, 1)
+    count = np.maximum(np.bincount(o.frame, o.on_platform, len(o.frames)), 1)[:, None]
     at = np.searchsorted(o.frames, measured.frames)
-    off = (late[:, None] * rates.apart * rates.curvature)[at]
-    return replace(measured, covariance=measured.covariance + off[:, :, None] * off[:, None, :])
+
+    def mean(late: Floats) -> Floats:
+        return np.bincount(o.frame, late, len(o.frames))[:, None] / count
+
+    unsure = np.where(o.on_platform, _rows(o, measured.design) * rates.row_time_sigma[o.camera], 0.0)
+    offs = [mean(_late(o, measured.design, rates)) * rates.apart * rates.curvature]
+    offs += [mean(unsure * (o.camera == i)) * rates.rate for i in np.flatnonzero(rates.row_time_sigma)]
+    covariance = measured.covariance + sum(off[at, :, None] * off[at, None, :] for off in offs)
+    return replace(measured, covariance=covariance)
 
 
 class ReadoutMotion:
     """Measurement of a recording whose corners are exposed at other moments than their frames. The first measurement
     tells the clocks, and by how much cameras' times differ, which later ones use.
-    rates : Rates by the clocks as known so far; offsets : (cameras,) s by which each camera was found to expose later
-    than its times say, relative to the first
+    rates : Rates by the clocks and row times as known so far; offsets : (cameras,) s by which each camera was found to
+    expose later than its times say, relative to the first; times : CameraTimes as last estimated, or None
     """
 
     def __init__(self, recording: Recording, rates: Rates) -> None:
         self._recording, self.rates = recording, rates
         self.offsets = np.zeros(len(recording.design.cameras))
+        self.times: CameraTimes | None = None
         self._clocks: tuple[Clocks, ...] | None = None
 
     @property
     def _acts(self) -> bool:
         """Whether corners are exposed at other moments than their frames."""
         late = np.abs(self.rates.delays).max() > SIMULTANEOUS
-        return bool(late or self.offsets.any() or _are_rows_late(self._recording.design))
+        return bool(late or self.offsets.any() or _has_late_rows(self._recording.design).any())
 
     def measured(self, observed: Observations, adjusted: Callable[[Observations], Measurement]) -> Measurement:
         """Measurement of Observations. adjusted : makes one of the Observations with their motion"""
         found = adjusted(self._moved(observed))
         if self._clocks is None:
-            own = found.covariance - found.common @ np.swapaxes(found.common, 1, 2)
-            self._clocks = clock_offset_and_drive_lag_by_recording(
-                self._recording, found.frames, found.T_base_platform, own, found.common
-            )
-            known = commanded_rates(self._recording, self._clocks) if self._clocks else None
-            if known is not None:
-                self.rates = known
-                found = adjusted(self._moved(observed)) if self._acts else found
+            self._compare_clocks(found)
+            found = adjusted(self._moved(observed)) if self._clocks and self._acts else found
             for _ in range(ROUNDS if self._clocks else 0):
-                more = self._more_offsets(found)
-                if not more.any():
+                if not self._compare_cameras(found):
                     break
-                self.offsets = self.offsets + more
-                self.rates = replace(self.rates, delays=self.rates.delays + more)
                 found = adjusted(self._moved(observed))
+                self._compare_clocks(found)
+        found = replace(found, readouts=self._readouts())
         if not self._acts:
             return found
-        found = replace(found, camera_offsets=tuple(self.offsets.tolist()) if self.offsets.any() else ())
+        cameras = tuple(
+            camera if stated or not row_time else replace(camera, row_time=float(row_time))
+            for camera, stated, row_time in zip(
+                found.design.cameras, _is_readout_stated(self._recording.design), self.rates.row_time
+            )
+        )
+        found = replace(
+            found,
+            design=replace(found.design, cameras=cameras),
+            camera_offsets=tuple(self.offsets.tolist()) if self.offsets.any() else (),
+        )
         return measurement_with_uncertainty_of_rates(self._with_shift_to_frame_times(found), self.rates)
+
+    def _compare_clocks(self, found: Measurement) -> None:
+        """Find the clocks by measured poses, and the rates by these."""
+        own = found.covariance - found.common @ np.swapaxes(found.common, 1, 2)
+        self._clocks = clock_offset_and_drive_lag_by_recording(
+            self._recording, found.frames, found.T_base_platform, own, found.common
+        )
+        known = commanded_rates(self._recording, self._clocks) if self._clocks else None
+        if known is not None:
+            self.rates = replace(self.rates, rate=known.rate, curvature=known.curvature, apart=known.apart)
 
     def _moved(self, observed: Observations) -> Observations:
         design = self._recording.design
         return observations_with_readout_motion(observed, design, self.rates) if self._acts else observed
 
-    def _more_offsets(self, found: Measurement) -> Floats:
-        """(cameras,) s by which cameras still expose later than is taken into account, 0 for what is not certain."""
+    def _compare_cameras(self, found: Measurement) -> bool:
+        """Find by how much cameras are late, and their rows. Returns whether what is taken into account has changed."""
         design = found.design
         if any(camera.mount != "fixed" for camera in design.cameras):
-            return np.zeros(len(self.offsets))
+            return False
         at, (now, later) = self._of_solved_frames(found, replace(self.rates, delays=self.rates.delays + AFTER))
         known = np.searchsorted(found.observations.frames, found.frames)
         moving = np.abs(self.rates.rate[known]).max(axis=1) > 0
-        state = found.adjustment.state
-        offsets = camera_time_offsets(now, later, AFTER, found.residuals[at], state, moving)
-        return np.zeros(len(self.offsets)) if offsets is None else offsets.certain
+        state, stated = found.adjustment.state, _is_readout_stated(design)
+        more = camera_times(now, later, AFTER, found.residuals[at], state, moving, stated)
+        if more is None:
+            return False
+        heights, unknown = _heights(design), _has_late_rows(design) & ~stated
+        readout = np.where(unknown, self.rates.row_time * heights, 0.0)
+        self.times = times = more.beyond(self.offsets, readout)
+        offsets, found_readout = times.certain_offset, np.where(unknown, times.certain_readout, 0.0)
+        changed = np.abs(offsets - self.offsets) > SETTLED * times.offset_sigma
+        changed |= np.abs(found_readout - readout) > SETTLED * times.readout_sigma
+        sigma = np.where(found_readout != 0, times.readout_sigma, np.hypot(times.readout, times.readout_sigma))
+        self.rates = replace(
+            self.rates,
+            delays=self.rates.delays + offsets - self.offsets,
+            row_time=np.where(unknown, found_readout / heights, self.rates.row_time),
+            row_time_sigma=np.where(unknown, np.minimum(sigma, READOUT) / heights, 0.0),
+        )
+        self.offsets = offsets
+        return bool(changed.any())
+
+    def _readouts(self) -> tuple[Readout, ...]:
+        """Readouts of cameras whose row time is not stated, and of those that contradict a global shutter."""
+        design, times = self._recording.design, self.times
+        if times is None:
+            return ()
+        certain = times.certain_readout != 0
+        return tuple(
+            Readout(
+                camera.name, float(times.readout[i]), float(times.readout_sigma[i]), bool(certain[i]), camera.shutter
+            )
+            for i, camera in enumerate(design.cameras)
+            if not _is_readout_stated(design)[i] and (certain[i] or camera.shutter == "rolling")
+        )
 
     def _of_solved_frames(
         self, measured: Measurement, other: Rates

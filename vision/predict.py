@@ -24,10 +24,10 @@ from rig.model.motion_simulation import MachineRun
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_folder import Sensors
 from vision import lens
+from vision.camera_readout_time import known_row_time
 
-SQUARE = np.array(
-    [[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]]
-)  # corners 0..3, clockwise from the top left
+# corners 0..3, clockwise from the top left
+SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
 NORMAL = np.array([0.0, 0.0, 1.0])  # out of the paper
 
 
@@ -354,7 +354,7 @@ def _view(
 
 def _late(camera: Camera, effects: Sequence[Effect], v: Floats) -> Floats:
     """(k, 4) s by which corners in image rows v (k, 4) are exposed after the middle row."""
-    late = (v - camera.height / 2) * (camera.row_time if camera.shutter == "rolling" else 0.0)
+    late = (v - camera.height / 2) * known_row_time(camera)
     for effect in effects:
         late = late + effect.late(camera, v)
     return late

@@ -29,6 +29,7 @@ from vision.bundle.adjustment_covariance_of_correlated_corner_errors import with
 from vision.bundle.bundle_adjustment import Adjustment
 from vision.bundle.printing_error_variance_estimation import adjust_with_estimated_printing_errors
 from vision.bundle.robust_adjustment import adjust_robustly, adjust_with_systematic_errors_weighed
+from vision.camera_readout_time import Readout
 from vision.corner_observations import Observations, observations_of_frames
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import (
@@ -60,7 +61,7 @@ class Measurement(OneLineRepr):
     noise : px, standard deviation of a corner per axis; standing : px, the part of a corner's error that comes back in
     every frame where neither camera nor marker moves; weights : (k, 2, 2) px^2 covariance of the solved frames' corners
     with that allowed for; factor : what stated covariances were multiplied by
-    adjustment : the last Adjustment, for its shared unknowns
+    adjustment : the last Adjustment, for its shared unknowns; readouts : of cameras whose readout time was found
     stages : {number (from 1): Measurement} of a chain's lower stages, of T_base_stage; common has the same draws
     to_frame_time : (n, 2) px by which corners would lie elsewhere had all cameras exposed at once, None where they did
     camera_offsets : s by which each camera exposes later than its times say, relative to the first, () for nothing
@@ -83,6 +84,7 @@ class Measurement(OneLineRepr):
     stages: dict[int, Measurement] = field(default_factory=dict)
     to_frame_time: Floats | None = None
     camera_offsets: tuple[float, ...] = ()
+    readouts: tuple[Readout, ...] = ()
 
     def __str__(self) -> str:
         return f"{len(self.frames)} of {len(self.frames) + len(self.unsolved)} frames solved"
@@ -244,8 +246,7 @@ def _located(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Frames, tuple[Camera, ...]]:
     """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as
-    the body relates them if
-    the corners agree better so. held : indices of those that the base placed, None where none may move"""
+    the body relates them if the corners agree better so. held : indices of those that the base placed, None where none may move"""
     found = locate_frames(undistorted, cameras, t, progress)
     other = (
         {}
@@ -263,9 +264,7 @@ def _located(
 
 
 def _disagreement(undistorted: UndistortedCorners, frames: Frames, cameras: tuple[Camera, ...]) -> float:
-    """px, mean by which corners lie from where the frames' poses put them, FARTHEST at the most, so much for each of an
-    unsolved frame's.
-    """
+    """Px, mean by which corners lie from where poses put them, FARTHEST at the most; so much for an unsolved frame's."""
     o, count = undistorted.observations, len(undistorted.observations.frames)
     uv, ahead = predict_corners(o, State(cameras, frames.all_poses(count), frames.all_moving(count), undistorted.map))
     off = np.linalg.norm(o.uv - uv, axis=1)

@@ -37,6 +37,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
+from vision.camera_readout_time import known_row_time
 
 LATEST = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts
@@ -174,7 +175,7 @@ def write_history(path: Path | str, history: History) -> None:
             "distortion": c.distortion.tolist(),
             "pose": pose_to_entry(c.pose),
             "shutter": c.shutter,
-            "row_time": c.row_time,
+            "row_time": known_row_time(c),
         }
         for c in r.cameras
     ]

@@ -219,7 +219,7 @@ class Log(Entries):
 
 
 HANGS_ON_ANOTHER = {
-    ("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter",
+    ("[[camera]]", "row_time"): "`0`; of a rolling shutter, found from exposures in motion",
     ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
     ("[controller]", "work"): "the platform at home",
     ("[controller]", "tool"): "the platform itself",

@@ -25,12 +25,14 @@ from rig.recording.recording_folder import Recording, load_recording
 from tests.moving_run import (
     CAMERA,
     CONTROLLER,
+    ROW_TIME,
     case_of_moving_machine,
     corners_seen,
     rig_text,
     table_of,
     write_corners,
     write_frames,
+    write_standing_recording,
 )
 from tests.truth import rigid
 from tests.truth.case import Case
@@ -144,14 +146,9 @@ def recordings(case: Case, folder: Path) -> tuple[Recording, Recording, np.ndarr
         (place / "rig.toml").write_text(rig_text(case, place == moving))
     shutil.copy(folder / "REC" / "commands.csv", moving)
     write_frames(case, moving, logged)
-    write_corners(case, moving, corners_seen(case, lengths_at, true, True, SEED))
+    write_corners(case, moving, corners_seen(case, lengths_at, true, ROW_TIME, SEED))
     at = lengths_at(true[:, 0])
-    steps = [(100.0 * k + part, row) for k, row in enumerate(at) for part in (0.0, 90.0)]
-    (standing / "commands.csv").write_text(
-        "t,l1,l2,l3,l4,l5,l6\n" + "".join(f"{t:.1f}," + ",".join(f"{v:.9f}" for v in row) + "\n" for t, row in steps)
-    )
-    write_frames(case, standing, np.repeat(100.0 * np.arange(len(at))[:, None] + 50, len(DELAYS), axis=1))
-    write_corners(case, standing, corners_seen(case, lambda t: at, true, False, SEED))
+    write_standing_recording(case, standing, at, SEED)
     recording = load_recording(moving)
     return (
         recording,

@@ -1,6 +1,8 @@
 """Cameras and cubes: what is seen of a platform, corner by corner, with faults of cameras, prints and targets."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +13,7 @@ from tests.truth.rigid import displaced
 WIDE, HIGH = 1280, 1024  # px
 FACES = ("+x", "-x", "+y", "-y", "+z")
 STEEPEST = 0.35  # cosine of the angle at which a face is still read
-BETWEEN = 0.02  # s before and after an exposure, to which an image point is taken to move evenly
+ROUNDS = 3  # in which the row tells the moment, and the moment the row
 
 
 @dataclass(frozen=True)
@@ -90,29 +92,24 @@ class CameraSet:
     fault: Sight
 
     def corners(
-        self,
-        t: np.ndarray,
-        around: tuple[np.ndarray, np.ndarray, np.ndarray],
-        day: Conditions,
-        rng: np.random.Generator,
+        self, t: np.ndarray, bodies_at: Callable[[np.ndarray], np.ndarray], day: Conditions, rng: np.random.Generator
     ) -> np.ndarray:
-        """(k, 6) rows frame, camera, marker, corner, u, v of exposures at t (n,) s. around : poses (n, 4, 4) BETWEEN s
-        before, at and after.
+        """(k, 6) rows frame, camera, marker, corner, u, v of exposures at t (n,) s. bodies_at : (n,) s after these
+        -> (n, 4, 4) poses of the platform.
         """
         rows = []
-        still = np.tile(np.eye(4), (len(t), 1, 1))
+        still, together = np.tile(np.eye(4), (len(t), 1, 1)), bodies_at(np.zeros(len(t)))
         for number, camera in enumerate(self.cameras):
             places = displaced(np.tile(camera.place, (len(t), 1, 1)), self.fault.standing(camera, number, t))
             zoom = self.fault.zoom(number, t, day)
             for cube in self.cubes:
                 for face in range(len(FACES)):
-                    moments = around if cube.moves else (still, still, still)
-                    early, now, late = (
-                        self._squares(camera, number, cube, face, bodies, places, zoom) for bodies in moments
-                    )
-                    uv = self._rolled(early[0], now[0], late[0])
+                    squares = partial(self._squares, camera, number, cube, face, places, zoom)
+                    uv, ahead = squares(together if cube.moves else still)
+                    if cube.moves and self.fault.row_time:
+                        uv = self._rolled(uv, ahead, squares, bodies_at)
                     uv = self.fault.bordered(number, uv)
-                    seen = now[1] & (uv > 8).all(axis=(1, 2)) & (uv < np.array([WIDE, HIGH]) - 9).all(axis=(1, 2))
+                    seen = ahead & (uv > 8).all(axis=(1, 2)) & (uv < np.array([WIDE, HIGH]) - 9).all(axis=(1, 2))
                     visible, turns = self.fault.read(cube, face)
                     uv = np.roll(uv, turns, axis=1) + rng.normal(0, self.sigma, uv.shape)
                     for frame in np.flatnonzero(seen):
@@ -127,9 +124,9 @@ class CameraSet:
         number: int,
         cube: Cube,
         face: int,
-        bodies: np.ndarray,
         places: np.ndarray,
         zoom: np.ndarray,
+        bodies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """((n, 4, 2) px, (n,) whether the camera sees the face) of a face whose body stands at bodies (n, 4, 4)."""
         axes = _axes(face)
@@ -153,14 +150,19 @@ class CameraSet:
         uv = camera.focal * zoom[:, None] * bent + camera.middle
         return self.fault.warped(number, uv), seen
 
-    def _rolled(self, early: np.ndarray, now: np.ndarray, late: np.ndarray) -> np.ndarray:
-        """(n, 4, 2) px of corners that are exposed when their row is."""
-        if not self.fault.row_time:
-            return now
-        uv = now
-        for _ in range(5):
-            s = (uv[..., 1] - HIGH / 2)[..., None] * self.fault.row_time / BETWEEN
-            uv = now + np.where(s < 0, s * (now - early), s * (late - now))
+    def _rolled(
+        self,
+        uv: np.ndarray,
+        seen: np.ndarray,
+        squares: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+        bodies_at: Callable[[np.ndarray], np.ndarray],
+    ) -> np.ndarray:
+        """(n, 4, 2) px of corners that are exposed when their row is, of those uv seen together; seen : (n,) whether
+        the face is; squares : as `_squares`, of bodies.
+        """
+        for _ in range(ROUNDS):
+            late = np.where(seen[:, None], (uv[..., 1] - HIGH / 2) * self.fault.row_time, 0.0)
+            uv = np.stack([squares(bodies_at(late[:, corner]))[0][:, corner] for corner in range(4)], axis=1)
         return uv
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.truth.camera_sets import BETWEEN, CameraSet, Sight, watching
+from tests.truth.camera_sets import CameraSet, Sight, watching
 from tests.truth.draw_faults import FAULTS, HURRIED, LOADED, SLOW, FaultRequest, fits
 from tests.truth.draw_machines import nominal, secret
 from tests.truth.journey import PLANS, Journey, journey, middle, visits
@@ -171,11 +171,11 @@ def _seen(case: Case, rng: np.random.Generator) -> np.ndarray:
     if case.camera_set is None:
         noise = rng.normal(size=(len(case.journey.looked), 6)) * np.repeat(case.sigma, 3)
         return rows_of(displaced(stood(case.machine, case.journey, case.day, case.laws), noise))
-    before, now, after = (
-        stood(case.machine, case.journey, case.day, case.laws, case.journey.looked + dt)
-        for dt in (-BETWEEN, 0.0, BETWEEN)
-    )
-    return case.camera_set.corners(case.journey.looked, (before, now, after), case.day, rng)
+
+    def bodies_at(late: np.ndarray) -> np.ndarray:
+        return stood(case.machine, case.journey, case.day, case.laws, case.journey.looked + late)
+
+    return case.camera_set.corners(case.journey.looked, bodies_at, case.day, rng)
 
 
 def _camera_set(

@@ -20,8 +20,8 @@ def seen(fault, moving=0.0):
     camera_set = replace(watching(0.3, 0.45, fault, 0.0, rng))
     at = np.tile(np.eye(4), (1, 1, 1))
     at[0, 2, 3] = 0.45
-    around = tuple(at + moving * dt * np.eye(4)[0][:, None] * np.eye(4)[3] for dt in (-0.02, 0.0, 0.02))
-    return camera_set, camera_set.corners(np.array([5.0]), around, DAY, rng)
+    way = moving * np.eye(4)[0][:, None] * np.eye(4)[3]
+    return camera_set, camera_set.corners(np.array([5.0]), lambda late: at + late[:, None, None] * way, DAY, rng)
 
 
 def test_the_top_of_a_cube_by_hand():
@@ -31,7 +31,7 @@ def test_the_top_of_a_cube_by_hand():
         cameras=(camera,),
         cubes=(Cube("B1", False, 0.2, 0.1, 30, np.eye(4)),),
     )
-    rows = camera_set.corners(np.zeros(1), (np.tile(np.eye(4), (1, 1, 1)),) * 3, DAY, np.random.default_rng(0))
+    rows = camera_set.corners(np.zeros(1), lambda late: np.eye(4)[None], DAY, np.random.default_rng(0))
     assert set(rows[:, 2]) == {34}  # the top alone, 1.9 m away; its up is +y, and so is the camera's
     uv = rows[:, 4:] - np.array([(WIDE - 1) / 2, (HIGH - 1) / 2])
     half, left = 1000 * 0.05 / 1.9, 1000 * 0.1 / 1.9

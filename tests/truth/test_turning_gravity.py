@@ -196,7 +196,7 @@ def seen_by_cameras(seed: int, end: float, stiffness: float | None = None) -> Ca
     )
     camera_set = replace(case.camera_set, fault=Sagging(1, law))
     poses = stood(case.machine, case.journey, case.day, (law,))
-    seen = camera_set.corners(case.journey.looked, (poses,) * 3, case.day, np.random.default_rng(6))
+    seen = camera_set.corners(case.journey.looked, lambda late: poses, case.day, np.random.default_rng(6))
     return replace(case, laws=(law,), camera_set=camera_set, seen=seen)
 
 

@@ -8,8 +8,9 @@ import pytest
 
 from rig.recording.recording_folder import Commands, load_recording
 from tests.cli import run
-from tests.moving_run import write_moving_recording
+from tests.moving_run import ROW_TIME, write_moving_recording
 from tests.truth import rigid
+from tests.truth.camera_sets import HIGH
 from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
     clock_offset_and_drive_lag_by_recording,
     lagged_commands,
@@ -36,8 +37,8 @@ def clocks(recording, found):
 def moving(tmp_path_factory):
     """(Recording of a machine that never rests, its cameras rolling, apart and early; (n, 4, 4) its true poses)."""
     folder = tmp_path_factory.mktemp("moving")
-    case, true = write_moving_recording(folder, OFFSET, DELAYS, SPEED)
-    return load_recording(folder), true, case
+    case, at = write_moving_recording(folder, OFFSET, DELAYS, SPEED)
+    return load_recording(folder), case.machine.forward(at), case
 
 
 @pytest.mark.slow
@@ -80,6 +81,10 @@ def test_a_rolling_shutter_that_nobody_stated_is_no_difference_of_stamps(moving)
     cameras = tuple(replace(camera, shutter="global", row_time=0.0) for camera in recording.design.cameras)
     found, _ = measure_recording(replace(recording, design=replace(recording.design, cameras=cameras)))
     assert found.camera_offsets == ()
+    assert [one.camera for one in found.readouts] == ["cam0", "cam1", "cam2"]
+    for one in found.readouts:
+        assert abs(one.time - HIGH * ROW_TIME) < 4 * one.sigma and 'state shutter = "rolling"' in str(one)
+    assert all(camera.shutter == "global" for camera in found.design.cameras), "which rig.toml states"
 
 
 def test_an_offset_and_a_lag_are_told_apart_by_reversals(tmp_path):

@@ -21,7 +21,7 @@ from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
 from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from vision.api import MeasurementResult, camera_time_offset_lines
+from vision.api import MeasurementResult, camera_time_lines
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
 from vision.bundle.marker_displacements import Places
 
@@ -46,7 +46,7 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.places:
         _print_places(result.places)
     _print_cameras(result)
-    for line in (*result.clocks, *camera_time_offset_lines(result.measurement)):
+    for line in (*result.clocks, *camera_time_lines(result.measurement)):
         print(line)
     if result.determination is not None:
         print(result.determination.summary())

@@ -88,11 +88,7 @@ def cameras_of_tables(tables: list[Entries]) -> tuple[Camera, ...]:
                 "distortion",
             )
         shutter = table.text("shutter", ("global", "rolling"), default="global")
-        row_time = (
-            table.number("row_time", least=0, most=1, unit="s")
-            if shutter == "rolling" or "row_time" in table.tree
-            else 0.0
-        )
+        row_time = table.number("row_time", None if shutter == "rolling" else 0.0, least=-1, most=1, unit="s")
         width, height = (table.whole(key, 1, most=LARGEST_IMAGE) for key in ("width", "height"))
         found.append(
             Camera(
@@ -291,7 +287,7 @@ def targets_with_quarter_turns_of_table(table: Entries, targets: tuple[Target, .
 
 
 def rig_toml_with_camera_values_replaced(text: str, cameras: Iterable[Camera]) -> str:
-    """The rig.toml text with the matrix, distortion and pose of each camera replaced.
+    """The rig.toml text with the matrix, distortion and pose of each camera replaced, and row times added where found.
 
     text : a valid rig.toml; cameras : Camera objects, matched by name. Raises KeyError for one that is not in the text.
     """
@@ -307,6 +303,8 @@ def rig_toml_with_camera_values_replaced(text: str, cameras: Iterable[Camera]) -
         entry = tomlkit.inline_table()
         entry.update(_pose_entry(camera.pose, units))
         table["pose"] = entry
+        if camera.shutter == "rolling" and camera.row_time is not None and "row_time" not in table:
+            table["row_time"] = round(camera.row_time, 12)
     return tomlkit.dumps(document)
 
 
