@@ -245,8 +245,8 @@ def _located(
     held: set[int] | None,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Frames, tuple[Camera, ...]]:
-    """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as
-    the body relates them if the corners agree better so. held : indices of those that the base placed, None where none may move"""
+    """(Frames, cameras) located by cameras as they are, or, where they may move and no base places them, as the body
+    relates them if corners agree better so. held : indices of those that the base placed, None where none may move"""
     found = locate_frames(undistorted, cameras, t, progress)
     other = (
         {}
@@ -264,7 +264,7 @@ def _located(
 
 
 def _disagreement(undistorted: UndistortedCorners, frames: Frames, cameras: tuple[Camera, ...]) -> float:
-    """Px, mean by which corners lie from where poses put them, FARTHEST at the most; so much for an unsolved frame's."""
+    """Px, mean by which corners lie from where poses put them, FARTHEST at the most and for unsolved frames."""
     o, count = undistorted.observations, len(undistorted.observations.frames)
     uv, ahead = predict_corners(o, State(cameras, frames.all_poses(count), frames.all_moving(count), undistorted.map))
     off = np.linalg.norm(o.uv - uv, axis=1)
