@@ -182,8 +182,8 @@ class Camera:
 
     name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew
     distortion : (4, 5, 8, 12 or 14,) OpenCV order; pose : T_base_camera, OpenCV axes
-    shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one; negative
-        where the last row is exposed first; not stated (None), it is found from exposures in motion
+    shutter : "global" or "rolling"; row_time : s from one row of the image to the next, for a rolling one; below 0 where
+        the last row is first; None where it is not stated, and found from exposures in motion
     mount : "fixed", "moving" (a pose in every frame) or "hand": the platform carries it, and pose is T_platform_camera
     source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None; capture : how it is set
     """
@@ -383,9 +383,8 @@ _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+
 
 @lru_cache(maxsize=256)
 def markers_of_target(target: Target) -> tuple[Marker, ...]:
-    """Markers of a target.
+    """Markers of a target: listed, or on a cube's faces, top to +z on the sides and to +y on +z and -z.
 
-    Its listed ones, or those on a cube's faces, top to +z on the sides and to +y on +z and -z.
     Raises ValueError for a target that lists neither faces nor markers.
     """
     if target.listed:
