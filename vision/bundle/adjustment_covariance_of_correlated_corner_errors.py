@@ -38,6 +38,7 @@ from vision.corner_observations import Observations, whitener_of_observations
 
 PROOF = 30.0  # twice the logarithm of the likelihood by which errors common to all frames must be likelier than none
 WEAK = 1e-2  # of the greatest information; combinations that adjusting takes up nearly whole say too little of errors
+ALONG = 1e-9  # of the greatest mean square of columns; combinations of less are rounding
 SIZES, START = (1e-4, 3.0), 0.03  # px, of a camera's errors; and where their search begins
 
 
@@ -212,6 +213,8 @@ def _with_common_image_errors(
     reduce = np.concatenate([np.eye(count), -follow])
     information -= onto.T @ follow
     size, turn = np.linalg.eigh(information)
+    if size[-1] <= 0:
+        return adjustment
     turn, size = turn[:, size > WEAK * size[-1]], size[size > WEAK * size[-1]]
     to_unit = reduce @ turn / np.sqrt(size)
     by_frame = np.array(scores) @ to_unit
@@ -235,12 +238,12 @@ def _with_common_image_errors(
 
 
 def _unit_mean_square(pixels: Floats) -> Floats:
-    """(K, K) by which columns (n, 2, K) px become such that are orthogonal over the corners, of 1 px RMS each."""
-    n, width = len(pixels), pixels.shape[2]
-    if n < width:  # too few corners to tell columns apart, which then stay as they are
-        return np.eye(width)
-    flat = pixels.reshape(2 * n, width)
-    return np.linalg.inv(np.linalg.cholesky(flat.T @ flat / n)).T
+    """(K, K) by which columns (n, 2, K) px become such that are orthogonal over the corners, of 1 px RMS each; none for
+    combinations that so few places cannot tell from others."""
+    flat = pixels.reshape(-1, pixels.shape[2])
+    squares, axes = np.linalg.eigh(flat.T @ flat / max(len(pixels), 1))
+    apart = squares > ALONG * max(squares[-1], ALONG)
+    return axes * np.where(apart, 1 / np.sqrt(np.where(apart, squares, 1.0)), 0.0)
 
 
 def _common_errors(model: Floats, seen: Floats, noise: Floats, cameras: int) -> tuple[Floats, Floats] | None:

@@ -110,7 +110,8 @@ def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design
     np.testing.assert_allclose(refined.point.finder, 0.25, atol=0.02)
     model = refined.model
     assert refined.point.standing < 0.01 and (model.corner_residual**2).sum() == pytest.approx(
-        len(model.corner_residual) - 6 * model.frames, rel=0.1
+        len(model.corner_residual) - 6 * model.frames,
+        rel=0.15,  # the noise is that of before the bias was known
     )
     strained = model.closure_residual[6 * model.frames :]
     assert 3 * 40**2 < strained @ strained < 3 * 60**2  # what is known of finders says that this is none

@@ -39,7 +39,11 @@ def test_a_measurement_whose_noise_is_not_the_stated_one_is_not_good(ratio, stat
         exposures=SimpleNamespace(times=lambda: (np.arange(60), np.arange(60.0))), design=design
     )
     measurement = SimpleNamespace(
-        frames=np.arange(60), covariance=np.broadcast_to(1e-10 * np.eye(6), (60, 6, 6)), unsolved={}, design=design
+        frames=np.arange(60),
+        covariance=np.broadcast_to(1e-10 * np.eye(6), (60, 6, 6)),
+        unsolved={},
+        design=design,
+        adjustment=SimpleNamespace(common_image_errors=()),
     )
     verdict = judged_measurement(MeasurementResult(recording, measurement, SimpleNamespace(ratio=ratio, scatter=0.03)))
     assert verdict.state == state and says in verdict.why
