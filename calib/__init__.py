@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from calib.api.verify_and_watch import watch as watch
     from calib.api.why import why as why
     from calib.api.workspace_change_by_calibration import analyse_workspace as analyse_workspace
-    from calib.certificate.certificate_contents import CertifyOptions as CertifyOptions
+    from calib.certificate.certificate_content_dataclasses import CertifyOptions as CertifyOptions
     from calib.experiment.investigation_plan_execution import InvestigateOptions as InvestigateOptions
     from calib.files.calibration_file import load as load
     from calib.files.calibration_file import save as save
@@ -104,6 +104,6 @@ __getattr__, __dir__ = lazy_exports(
         "why": "calib.api.why",
         "WhyOptions": "calib.api.options_and_imported_data_of_why",
         **dict.fromkeys(("load", "save"), "calib.files.calibration_file"),
-        "CertifyOptions": "calib.certificate.certificate_contents",
+        "CertifyOptions": "calib.certificate.certificate_content_dataclasses",
     },
 )

@@ -18,8 +18,8 @@ from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,
+    effect_with_existing_place,
     parse_effect,
-    require_existing_place,
     require_nonzero_effect,
 )
 from rig.errors import RigError
@@ -163,7 +163,8 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
     path, kinds = Path(rig_toml), options.kinds or BY_NAME
     design = design_from_rig_toml.load_design(path)
     effects = tuple(
-        require_nonzero_effect(require_existing_place(parse_effect(text, kinds), design)) for text in options.effects
+        require_nonzero_effect(effect_with_existing_place(parse_effect(text, kinds), design))
+        for text in options.effects
     )
     pictures = options.pictures(design.sensor)
     _require_observer(design, path, options.images)

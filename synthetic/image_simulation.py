@@ -31,7 +31,7 @@ from rig.recording.recording_folder import Sensors
 from synthetic import random_true_machine_and_truth_file, rig_meshes
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender_without_viewer
 from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
-from synthetic.recording_simulation import Simulation, carried_camera_poses, stage_poses_of_run
+from synthetic.recording_simulation import Simulation, carried_camera_poses, poses_of_each_stage_and_platform
 from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 BLEND = (
@@ -203,7 +203,12 @@ def _exposures() -> list[tuple[float, list[RigidTransform]]]:
     """
     simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
     return [
-        (shift, stage_poses_of_run(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift))
+        (
+            shift,
+            poses_of_each_stage_and_platform(simulation.run)
+            if shift == 0
+            else simulation.at_times(simulation.plan.t + shift),
+        )
         for shift in shifts
     ]
 

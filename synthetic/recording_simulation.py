@@ -68,7 +68,7 @@ class Simulation:
             self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors
         )
         back = np.argsort(order)
-        return [T[back] for T in stage_poses_of_run(run)]
+        return [T[back] for T in poses_of_each_stage_and_platform(run)]
 
     def hand_pose_of_each_row(self) -> dict[str, RigidTransform]:
         """{name of a hand: T_base_platform (n,)} at the exposures; one without a name where there are not several."""
@@ -88,7 +88,7 @@ class PictureWriter(Protocol):
         ...
 
 
-def stage_poses_of_run(run: motion_simulation.MachineRun) -> list[RigidTransform]:
+def poses_of_each_stage_and_platform(run: motion_simulation.MachineRun) -> list[RigidTransform]:
     """Poses T_base_stage (n,) of each stage of a Run, the platform last."""
     return [*run.stages, run.T_base_platform]
 
@@ -222,7 +222,7 @@ def _sight_of(
     uv = predict_sightings(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
     whole = is_inside_image(found, uv, state.cameras)
     found, uv = found.take(whole), uv[whole]
-    clear = ~_covered(world.true, stage_poses_of_run(run), body.T_base_platform, real, found)
+    clear = ~_covered(world.true, poses_of_each_stage_and_platform(run), body.T_base_platform, real, found)
     return found.take(clear), uv[clear]
 
 
@@ -255,7 +255,7 @@ def _covered(
     design: Design, stages: list[RigidTransform], T: RigidTransform, markers: MarkerMap, found: Sightings
 ) -> Booleans:
     """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of
-    `stage_poses_of_run`; T : (F,) of what carries them"""
+    `poses_of_each_stage_and_platform`; T : (F,) of what carries them"""
     square = markers.corners[found.marker]
     points = np.concatenate(
         [square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1

@@ -45,7 +45,7 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
     determinacy_of_adjusted_unknowns,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
-from vision.bundle.marker_displacements import Places, adjusted_markers, compare_stated_and_adjusted_places
+from vision.bundle.marker_and_target_displacements import Places, adjusted_markers, compare_stated_and_adjusted_places
 from vision.checks.recording_refusal_and_cube_layout_remarks import (
     Notice,
     ignore_notice,

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers, Json
-from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import lagged_path
+from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import lagged_path
 from rig.effects.framework.machine_motion_and_play import Path
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod

@@ -18,11 +18,11 @@ from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
 from vision import platform_motion_between_frame_time_and_corner_exposure, recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
-from vision.bundle.marker_displacements import (
+from vision.bundle.marker_and_target_displacements import (
     HALVED,
     adjusted_markers,
     are_stated_places_doubtful,
-    marker_displacements,
+    marker_and_target_displacements,
 )
 from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
 from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
@@ -283,7 +283,7 @@ def measure_with_stated_or_free_markers(
         return measured
     loosened = measure_observations(observed, design, markers, loose, progress, t)
     if contradicted and not any(
-        move.moved for move in marker_displacements(loosened.adjustment)
+        move.moved for move in marker_and_target_displacements(loosened.adjustment)
     ):  # it was the cameras that were not where they are stated
         loosened = measure_observations(observed, design, markers, free, progress, t, loosened.design.cameras)
     if measured is None or len(loosened.frames) > len(measured.frames) or loosened.noise < HALVED * measured.noise:

@@ -21,7 +21,7 @@ from calib.certificate.certificate_computation_verdict_and_provenance import (
     certificate_provenance,
     certificate_verdict,
 )
-from calib.certificate.certificate_contents import CertifyOptions
+from calib.certificate.certificate_content_dataclasses import CertifyOptions
 from calib.certificate.digital_certificate_xml import Issuer
 from calib.certificate.mount_pointing_certificate import PointingCertificate, mount_pointing_certificate
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, refutation_sentence

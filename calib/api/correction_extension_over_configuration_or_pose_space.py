@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.extended_correction_certification import (
+from calib.certification.configuration_space_correction_certification import (
     ExtensionRequest,
     Tried,
     certify_extended_correction,

@@ -16,7 +16,7 @@ from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import StatedTerms
 from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import (
     Refutation,
-    refuted_calibrations,
+    refuted_calibrations_of_recording,
     unexplained_findings_and_refutations,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
@@ -167,7 +167,7 @@ def diagnose(
     marks = content_hashes_of_frames(recording)
     several = bool(hand_names(recording.design.mechanism))  # of which each hand has a claim of its own
     tested = None if sampled is None or several else sampled.samples
-    against = refuted_calibrations(report, marks, () if several else options.calibrations, tested)
+    against = refuted_calibrations_of_recording(report, marks, () if several else options.calibrations, tested)
     refuted = tuple(f"{one.path.name} is refuted: {one.finding}" for one in against if one.state == State.BAD)
     left = unexplained_findings_and_refutations(marks, options.calibrations, False).unexplained
     return DiagnosisResult(

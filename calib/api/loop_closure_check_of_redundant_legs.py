@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.certification import (
     loop_closure_checks_of_redundant_measuring_limbs,
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_calibration_slips_and_vision_agreement,
 )
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.online.accepted_measuring_limbs_file import Accepted
@@ -150,9 +150,9 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
     """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     machine, stated = (
         require_hexapod(recording.design.mechanism),
-        measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(recording.design),
+        measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]
@@ -167,7 +167,9 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
     if options.limbs is not None:
         limbs = (
             "m",
-            *loop_closure_checks_of_redundant_measuring_limbs.limbs_sigmas_and_covariance(options.limbs.limbs, stated),
+            *loop_closure_checks_of_redundant_measuring_limbs.fitted_limbs_with_sigmas_and_covariance(
+                options.limbs.limbs, stated
+            ),
         )
     return combine_leg_sets([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 

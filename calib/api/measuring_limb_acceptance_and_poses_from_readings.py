@@ -13,10 +13,10 @@ from calib.api.parameter_learning_pose_by_pose_from_recording import LearningRes
 from calib.api.recording_check_combination_and_view import refuse_unfit_recording_and_make_corner_check
 from calib.certification import (
     loop_closure_checks_of_redundant_measuring_limbs,
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_calibration_slips_and_vision_agreement,
 )
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
+from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import Agreement
 from calib.files.calibration_file import calibration_provenance
 from calib.models.machine_models import corrected_pose_covariance
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
@@ -155,35 +155,32 @@ def accept_limbs(
     Raises RigError for a recording without limbs' readings, and for other limbs than it has
     """
     design = recording.design
-    measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(
+    measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
-    stated = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design)
+    frames, every = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(recording)
+    stated = measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
     sigma, home = (
         stated.length_sigma,
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design).home,
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design).home,
     )
     chosen = (
         loop_closure_checks_of_redundant_measuring_limbs.best_six_limbs(stated, home, by_vision.samples.T_base_platform)
         if requested is None
         else requested
     )
-    nominal = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design, chosen)
-    samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+    nominal = measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design, chosen)
+    samples = measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(
-        samples, nominal, sigma
-    )
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, sigma)
+    found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, options.tolerance
     )
     six = replace(
-        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, sigma)[0],
-        chosen=chosen,
+        measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen
     )
     both = every[np.searchsorted(frames, samples.frame)]
     limbs = replace(
@@ -191,7 +188,7 @@ def accept_limbs(
     )
     source = calibration_provenance(recording, options.arguments, 0, by_vision.source == "images")
     accepted = Accepted(limbs, nominal, found, None, source)
-    slipped = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, sigma)
+    slipped = measuring_limb_calibration_slips_and_vision_agreement.detect_limb_slip(samples, limbs, sigma)
     if slipped is not None:
         limb = chosen[slipped.limb - 1] + 1
         reason = (

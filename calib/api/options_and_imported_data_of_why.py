@@ -15,7 +15,7 @@ from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOp
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
-from rig.formats.importers.units_and_timestamps import split_header
+from rig.formats.importers.table_units_and_timestamps import split_header
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import exists, is_empty, is_folder, list_folder, read_bytes, read_text
 from rig.formats.numbers_and_units import ANGLES, LENGTHS

@@ -47,7 +47,7 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect import Effect
-from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import effect_with_existing_place, parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
@@ -333,7 +333,7 @@ def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progre
 
 def _separating(design: Design, texts: tuple[str, str], options: PlanOptions) -> PlanResult:
     """PlanResult of the parts of plans, alone or two, by which two effects differ most."""
-    effects = [require_existing_place(parse_effect(text), design) for text in texts]
+    effects = [effect_with_existing_place(parse_effect(text), design) for text in texts]
     seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
     if seen:
         raise RigError(

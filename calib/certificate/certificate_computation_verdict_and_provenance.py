@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certificate import certificate_sentences_and_quantity_texts
-from calib.certificate.certificate_contents import (
+from calib.certificate.certificate_content_dataclasses import (
     CertifyOptions,
     Contents,
     measuring_conditions,

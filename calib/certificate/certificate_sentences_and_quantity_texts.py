@@ -3,7 +3,7 @@
 Scale, promise, volume, basis, conformity, ISO figures and uncertainties.
 """
 
-from calib.certificate.certificate_contents import Contents
+from calib.certificate.certificate_content_dataclasses import Contents
 from calib.certification.calibration_dataclass_and_claim_sentences import (
     claim_check_result_text,
     explaining_rigid_motion_text,

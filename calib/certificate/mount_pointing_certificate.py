@@ -15,7 +15,7 @@ from calib.certificate.certificate_computation_verdict_and_provenance import (
     TWICE,
     combined_held_out_poses,
 )
-from calib.certificate.certificate_contents import CertifyOptions, Conditions, measuring_conditions
+from calib.certificate.certificate_content_dataclasses import CertifyOptions, Conditions, measuring_conditions
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_check_result_text
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses, pose_repeatability

@@ -238,7 +238,9 @@ def held_out_redundant_limb_errors_and_sigma(
     return error, sigma
 
 
-def limbs_sigmas_and_covariance(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, Floats, Floats]:
+def fitted_limbs_with_sigmas_and_covariance(
+    limbs: Limbs, stated: MeasuringLimbs
+) -> tuple[MeasuringLimbs, Floats, Floats]:
     """Limbs as fitted, their sigmas (n,) m, and covariance.
 
     Sigmas are of their readings; the covariance (7 n, 7 n) m^2 is of all their parameters.

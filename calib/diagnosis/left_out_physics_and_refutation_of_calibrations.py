@@ -147,7 +147,7 @@ def _no_better(three: tuple[float, ...], errors: Floats, covariance: Floats) -> 
     return tuple(max(x, y * size) for x, y in zip(three, (1.0, low, high)))
 
 
-def refuted_calibrations(
+def refuted_calibrations_of_recording(
     report: Report, recording_marks: Marks, calibration_paths: Iterable[Path], samples: Samples | None
 ) -> list[Refutation]:
     """Calibrations of a recording that are refuted ([Refutation]).

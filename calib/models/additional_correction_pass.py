@@ -20,7 +20,11 @@ from calib.certification.claimed_error_reduction_over_workspace import (
     mean_square_pose_errors_stated_by_extension,
     workspace_commands_and_corrected_poses,
 )
-from calib.certification.extended_correction_certification import ExtensionBasis, Tried, certify_interpolation_method
+from calib.certification.configuration_space_correction_certification import (
+    ExtensionBasis,
+    Tried,
+    certify_interpolation_method,
+)
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
     configuration_numbers,

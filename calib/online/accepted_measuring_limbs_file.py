@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Checks, Limbs
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import (
+from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import (
     Agreement,
     hexapod_of_six_limbs,
     stated_limbs,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import (
     loop_closure_checks_of_redundant_measuring_limbs,
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_calibration_slips_and_vision_agreement,
 )
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction import Correction
@@ -135,9 +135,9 @@ class LimbWatch:
     def __init__(self, design: Design) -> None:
         self._design, self._stated = (
             design,
-            measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design),
+            measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(design),
         )
-        self._home = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design).home
+        self._home = measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design).home
         self.channels = self._stated.channels
         self._read: list[tuple[Floats, RigidTransform, Floats]] = []
         self._limbs: loop_closure_checks_of_redundant_measuring_limbs.Limbs | None = None
@@ -147,8 +147,8 @@ class LimbWatch:
         """Whether limbs that read lengths (limbs,) m newly disagree with vision's pose and its covariance (6, 6)."""
         if self._limbs is None:
             self._read.append((lengths, T_base_platform, covariance))
-            if len(self._read) == measuring_limb_calibration_agreement_with_vision_and_slips.FEWEST:
-                n = np.arange(measuring_limb_calibration_agreement_with_vision_and_slips.FEWEST)
+            if len(self._read) == measuring_limb_calibration_slips_and_vision_agreement.FEWEST:
+                n = np.arange(measuring_limb_calibration_slips_and_vision_agreement.FEWEST)
                 read, poses, covariances = zip(*self._read)
                 T = RigidTransform.concatenate(poses)
                 chosen = loop_closure_checks_of_redundant_measuring_limbs.best_six_limbs(self._stated, self._home, T)
@@ -158,13 +158,11 @@ class LimbWatch:
                     np.array(read)[:, chosen],
                     T,
                     np.array(covariances),
-                    np.zeros((measuring_limb_calibration_agreement_with_vision_and_slips.FEWEST, 6, 0)),
+                    np.zeros((measuring_limb_calibration_slips_and_vision_agreement.FEWEST, 6, 0)),
                 )
-                limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(
+                limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(
                     samples,
-                    measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(
-                        self._design, chosen
-                    ),
+                    measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(self._design, chosen),
                     self._stated.length_sigma,
                 )
                 self._limbs = replace(limbs, chosen=chosen)
@@ -173,7 +171,7 @@ class LimbWatch:
         own, common = self._limbs.uncertainty(T)
         before, self._agreed = (
             self._agreed,
-            measuring_limb_calibration_agreement_with_vision_and_slips.vision_agrees_with_limbs(
+            measuring_limb_calibration_slips_and_vision_agreement.vision_agrees_with_limbs(
                 T_base_platform, covariance, T, own, common
             ),
         )

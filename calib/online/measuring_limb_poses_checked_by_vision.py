@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import (
     loop_closure_checks_of_redundant_measuring_limbs,
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_calibration_slips_and_vision_agreement,
 )
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
 from calib.online import accepted_measuring_limbs_file
@@ -142,7 +142,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
     They are of the frames whose exposures have readings, by the six limbs that give poses.
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(recording)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.online import accepted_measuring_limbs_file
 from calib.online.accepted_measuring_limbs_file import Accepted
@@ -32,7 +32,7 @@ from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.move_profiles_and_path_check import TimedShares, trapezoidal_profile
 from rig.driving.readings_entered_by_operator_during_run import ReadingForm, permitted_figure_counts_of_reading
 from rig.driving.run_steps_from_plan_and_progress_from_journal import Step
-from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensor_reader
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensors_of_rig_toml
 from rig.errors import RigError
 from rig.formats.numbers_and_units import SI, LengthAndAngleUnits
 from rig.model import mechanisms
@@ -108,7 +108,7 @@ class RunOptions:
         if self.limbs is None:
             return None
         found = accepted_measuring_limbs_file.load_accepted_limbs_for_design(self.limbs.path, design)
-        channels = measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(design).channels
+        channels = measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(design).channels
         if design.sensors is None or set(channels) - set(design.sensors.channels):
             raise RigError(
                 f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}"
@@ -232,7 +232,7 @@ def open_sensors_and_assemble_equipment(
     enters readings
     Raises RigError for settling by limbs that nobody reads.
     """
-    sensing = open_sensor_reader(design.sensors, clock) if design.sensors else None
+    sensing = open_sensors_of_rig_toml(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
         raise RigError("settling by limbs takes a [sensors] table with the channels m1 .. m6")

@@ -32,7 +32,7 @@ from vision import measured_frame_drawings_and_frame_jpegs
 from vision.api import TWICE, MeasurementResult, measurement_verdict
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import HeldOut, NotHeldOut
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import UnknownName
-from vision.bundle.marker_displacements import Places
+from vision.bundle.marker_and_target_displacements import Places
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import Suspect
 from vision.recording_adjustment import Measurement
 

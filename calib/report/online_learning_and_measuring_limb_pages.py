@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import AXES, MOVES, Agreement
+from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import AXES, MOVES, Agreement
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.formats.numbers_and_units import count_text

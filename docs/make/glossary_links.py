@@ -11,15 +11,19 @@ GENERATED = ("commands.md", "rig-toml.md", "tables.md", "effects.md", "results.m
 ROW = re.compile(r'^\| <a id="([\w-]+)"></a>([^|]+?) \| (.+) \|$', re.MULTILINE)
 ROWS = ROW.findall(PAGE.read_text(encoding="utf-8"))  # (anchor, word, meaning)
 FORMS = {  # anchor: the word as pages use it, where that is not the word with or without an s, or is a common word too
+    "action": "(?<=recommended )actions?",
+    "corner": "corners? of (?:a |the )?markers?|marker corners?",
+    "driver": "drivers? of (?:a |the )?controllers?",
     "exposure-frame": "exposures?",
-    "family": "famil(?:y|ies)",
+    "family": "famil(?:y|ies) of laws",
     "further-pass": "further pass(?:es)?",
     "home": "home pose|(?<=at )home|(?<=from )home|(?<=relative to )home",
     "nominal-stated": "nominal",
     "place": "(?<=at these )places|(?<=with their )place|(?<=where an effect acts, its )place",
     "play": "backlash|(?<!may )(?<!can )play",
     "visit": "(?<=a )visit|(?<=first )visit|(?<=small )visits|(?<=more )visits|(?<=later )visits|(?<=of )visits",
-    "zero": "zeros",
+    "unknown": "`unknown`",
+    "zero": "strut zeros|zeros of (?:the )?struts",
 }
 
 

@@ -34,7 +34,7 @@ from rig.report.verdict_refutations_and_result_display import exit_status
 
 if TYPE_CHECKING:
     from calib.api.certify import CertificationResult
-    from calib.certificate.certificate_contents import CertifyOptions
+    from calib.certificate.certificate_content_dataclasses import CertifyOptions
     from calib.certificate.digital_certificate_xml import Issuer
 
 
@@ -59,7 +59,7 @@ def parse_relative_uncertainty(text: str) -> float:
     )
 
 
-def parse_rated_load(text: str) -> float:
+def parse_rated_load_kg(text: str) -> float:
     """Parse a rated load, kg.
 
     Raises ArgumentTypeError
@@ -124,7 +124,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
     parser.add_argument(
-        "--rated-load", metavar="KG", type=parse_rated_load, help="that the machine is rated for, for ISO 9283"
+        "--rated-load", metavar="KG", type=parse_rated_load_kg, help="that the machine is rated for, for ISO 9283"
     )
     for name, who in (
         ("laboratory", "who calibrated"),
@@ -210,7 +210,7 @@ def _options(arguments: Namespace) -> CertifyOptions:
         raise RigError("--scale-source names who certified the scale; --scale-uncertainty says how well")
     if not re.fullmatch("[A-Z]{2}", arguments.country):
         raise RigError(f"--country takes two capital letters (ISO 3166-1), not {arguments.country!r}")
-    from calib.certificate.certificate_contents import CertifyOptions
+    from calib.certificate.certificate_content_dataclasses import CertifyOptions
 
     return CertifyOptions(
         arguments.coverage,

@@ -30,7 +30,7 @@ from rig.formats.numbers_and_units import count_text
 if TYPE_CHECKING:
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureResult
     from calib.api.measuring_limb_acceptance_and_poses_from_readings import LimbAcceptance
-    from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
+    from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import Agreement
 
 
 def arguments_of_test(parser: ArgumentParser) -> None:
@@ -133,7 +133,7 @@ def _print_checks(result: LimbAcceptance) -> None:
 
 def _print_agreement(found: Agreement, source: str) -> None:
     """Print how far each axis agrees with vision, against its tolerance."""
-    from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import AXES, MOVES
+    from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import AXES, MOVES
 
     print(
         f"measuring limbs minus vision ({source}), {count_text(found.n, 'pose')}, each by limbs "

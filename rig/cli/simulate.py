@@ -67,7 +67,10 @@ def arguments(parser: ArgumentParser) -> None:
     kind.add_argument("--images", action="store_true", help="draw images (needs OpenGL)")
     kind.add_argument("--corners", action="store_true", help="write corners.csv (the default)")
     parser.add_argument(
-        "--seed", type=parse_whole_number, default=0, help="of the secret machine, the temperatures and the noise"
+        "--seed",
+        type=parse_whole_number,
+        default=0,
+        help="of the secret machine, the poses, the temperatures and the noise",
     )
     parser.add_argument(
         "--secret",

@@ -257,7 +257,7 @@ class UserSensorReader(SensorReader):
         wrap_user_call_to_locate_errors(self._user.close, self._path, RigError, self._owner)()
 
 
-def open_sensor_reader(stated: SensorPort, clock: Clock) -> SensorReader:
+def open_sensors_of_rig_toml(stated: SensorPort, clock: Clock) -> SensorReader:
     """The sensors of a rig.toml, opened.
 
     Raises LinkLost for a port, FileError or RigError for a program.

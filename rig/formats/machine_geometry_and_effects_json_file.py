@@ -14,11 +14,11 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,
     effect_class_by_name,
-    require_existing_place,
+    effect_with_existing_place,
 )
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
@@ -113,7 +113,7 @@ def effect_from_dict(tree: Json, known_effects: Kinds = BY_NAME) -> Effect:
             )
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
-        return require_valid_effect_place_and_parameters(kind(tree["place"], **values))
+        return effect_with_valid_place_and_parameters(kind(tree["place"], **values))
     except (TypeError, ValueError, OverflowError) as error:
         raise RigError(f"{short_repr(tree)} is no effect: {error}") from None
 
@@ -199,7 +199,7 @@ def effects_from_entries(
     for number, entry in enumerate(table.tables("effects"), 1):
         try:
             effect = effect_from_dict(entry.tree, kinds)
-            found.append(require_existing_place(effect, design) if has_place(entry) else effect)
+            found.append(effect_with_existing_place(effect, design) if has_place(entry) else effect)
         except FileError:
             raise
         except RigError as error:

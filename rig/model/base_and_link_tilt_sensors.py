@@ -182,7 +182,7 @@ def gravity_at_exposures(
     )
 
 
-def times_resampled_for_small_tilt_steps(
+def log_times_with_more_for_small_tilt_steps(
     t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]
 ) -> Floats:
     """Log times (m,) s, with more inserted so that tilt steps are small.

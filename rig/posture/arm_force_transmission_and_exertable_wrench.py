@@ -136,7 +136,9 @@ def force_polytope_corners(A: Floats, low: Floats, high: Floats) -> Floats:
     return every[((torque >= low - slack) & (torque <= high + slack)).all(axis=1)]
 
 
-def force_in_every_direction_and_weakest_direction(A: Floats, low: Floats, high: Floats) -> tuple[float, Floats]:
+def greatest_force_in_all_directions_and_weakest_direction(
+    A: Floats, low: Floats, high: Floats
+) -> tuple[float, Floats]:
     """Greatest force, N, exertable in every direction, and the weakest direction (3,).
 
     In that direction no more is.

@@ -25,8 +25,8 @@ from rig.posture import (
 from rig.posture.arm_force_transmission_and_exertable_wrench import (
     ExertionObjective,
     TransmissionObjective,
-    force_in_every_direction_and_weakest_direction,
     force_polytope_corners,
+    greatest_force_in_all_directions_and_weakest_direction,
     joint_torques_for_wrench,
 )
 from rig.posture.null_space_posture_search import SearchResult
@@ -308,7 +308,10 @@ def exertion_dict(q: Floats, arm: Arm, exertion: ExertionObjective) -> Json:
     if bears:
         A = _torques_of_unit_forces(q, arm)
         every = force_polytope_corners(A, low, high)
-        size, least = np.linalg.norm(every, axis=1), force_in_every_direction_and_weakest_direction(A, low, high)
+        size, least = (
+            np.linalg.norm(every, axis=1),
+            greatest_force_in_all_directions_and_weakest_direction(A, low, high),
+        )
         out["strongest"] = {"force": float(size.max()), "direction": (every[size.argmax()] / size.max()).tolist()}
         out["weakest"] = {"force": least[0], "direction": least[1].tolist()}
     return out

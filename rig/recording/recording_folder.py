@@ -27,7 +27,7 @@ from rig.model.base_and_link_tilt_sensors import (
     BaseTilt,
     base_gravity_channels_under_tilts,
     has_gravity_sensor_channels,
-    times_resampled_for_small_tilt_steps,
+    log_times_with_more_for_small_tilt_steps,
 )
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
@@ -269,7 +269,7 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
             f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
             "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)
         )
-    t = times_resampled_for_small_tilt_steps(sensors.t, tilts, sensors.channels)
+    t = log_times_with_more_for_small_tilt_steps(sensors.t, tilts, sensors.channels)
     channels: dict[str, Floats] = {
         name: np.asarray(np.interp(t, sensors.t, values)) for name, values in sensors.channels.items()
     }

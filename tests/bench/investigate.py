@@ -25,7 +25,7 @@ from calib.api.next_experiment import (
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.experiment.experiment_questions_and_information import NAME
 from calib.experiment.platform_diagnosis_questions import open_questions_of_platform_diagnosis as questions
-from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import effect_with_existing_place, parse_effect
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
@@ -99,7 +99,7 @@ class Case:
 
     def __init__(self, folder, design, text, truth, seed):
         self.folder, self.design, self.text, self.seed = folder, design, text, seed
-        effects = () if truth is None else (require_existing_place(parse_effect(truth), design),)
+        effects = () if truth is None else (effect_with_existing_place(parse_effect(truth), design),)
         self.world, self.truth = (
             random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(seed), 1.0, effects),
             truth,

@@ -30,7 +30,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.marker_displacements import compare_stated_and_adjusted_places
+from vision.bundle.marker_and_target_displacements import compare_stated_and_adjusted_places
 from vision.corner_observations import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.lenses import calibration_board_corner_detection_in_photograph as boards

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
@@ -216,15 +216,15 @@ def _limbs():
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load_recording(Path(folder) / "rec")
-        frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(read)
+        frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(read)
         samples, nominal = (
-            measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+            measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
                 sample_recording(read).samples, frames, lengths
             ),
-            measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
+            measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
         )
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 2e-4)
     )
     for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
@@ -236,7 +236,7 @@ def _limbs():
             f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}",
             "50 um, 200 urad",
         )
-    limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):

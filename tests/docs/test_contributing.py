@@ -6,7 +6,7 @@ import yaml
 
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from tests.docs.document_commands import ROOT
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -38,9 +38,7 @@ def test_the_first_change_is_an_effect_as_it_is_written():
     kind = names["LeadGrowth"]
     made = kind("strut 3", growth=5e-3)
     assert (
-        issubclass(kind, Effect)
-        and kind.name not in BY_NAME
-        and require_valid_effect_place_and_parameters(made) is made
+        issubclass(kind, Effect) and kind.name not in BY_NAME and effect_with_valid_place_and_parameters(made) is made
     )
 
 

@@ -15,8 +15,8 @@ from calib.files import calibration_file
 from calib.online.hexapod_information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
+    effect_with_existing_place,
     parse_effect,
-    require_existing_place,
     require_known_effect,
 )
 from rig.errors import RigError
@@ -168,7 +168,7 @@ def _json(folder, design, done):
                 json.dumps({"effect": e.name, "place": "rig", "parameters": {p.name: 0 for p in e.parameters}}).encode()
                 for e in ALL
             ),
-            lambda path: require_existing_place(effect_from_dict(_loaded(path)), design),
+            lambda path: effect_with_existing_place(effect_from_dict(_loaded(path)), design),
         ),
     ]
 
@@ -195,7 +195,7 @@ def _texts(design):
         b"commands:x.csv",
     )
     return [
-        Reader("effect", effects, of(lambda text: require_existing_place(parse_effect(text), design))),
+        Reader("effect", effects, of(lambda text: effect_with_existing_place(parse_effect(text), design))),
         Reader("plan", plans, of(lambda text: plan.build_plan(design, text))),
         Reader(
             "place",

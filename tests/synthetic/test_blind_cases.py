@@ -14,7 +14,7 @@ from rig.cli import command_line
 from rig.cli import simulate_blind as command
 from rig.cli.shared import blind_case_process
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError
 from rig.model import arm_hands_effect_places_and_tolerances, motion_simulation
@@ -55,7 +55,7 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
     rng = np.random.default_rng(1)
     route = plan.build_plan(design, "sobol:4", 1)
     for _ in range(6):
-        effect = require_valid_effect_place_and_parameters(
+        effect = effect_with_valid_place_and_parameters(
             random_blind_platform_cases_with_truth._effect(kind, design, route, rng)
         )
         assert effect.name == kind.name and any(np.any(v) for v in effect.values().values())

@@ -18,7 +18,7 @@ from tests.vision.tagged_block import Block, drawn_block, placed_corners
 from vision.api import measure, too_large_focal_length_adjustment_sentences
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import determinacy_of_adjusted_unknowns
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
-from vision.bundle.marker_displacements import adjusted_markers, marker_displacements
+from vision.bundle.marker_and_target_displacements import adjusted_markers, marker_and_target_displacements
 from vision.checks.image_sample_corners_and_dictionary_mistakes import corners_of_sampled_frame_images
 from vision.checks.mistake_search_by_trial_corrections import (
     find_corner_mistakes,
@@ -129,7 +129,7 @@ def test_the_statement_names_the_frame():
     assert "the platform frame is that of its marker 0, since the position of none is stated" in "\n".join(
         determinacy_of_adjusted_unknowns(m.adjustment).lines()
     )
-    assert not marker_displacements(m.adjustment)  # nothing that was stated has moved
+    assert not marker_and_target_displacements(m.adjustment)  # nothing that was stated has moved
     np.testing.assert_allclose(m.adjustment.state.placed.T_body_marker[0].as_matrix(), np.eye(4), atol=1e-9)
 
 

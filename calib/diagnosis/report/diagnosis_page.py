@@ -329,7 +329,10 @@ def _measurement(report: Report, machine_figures: MachineFigures) -> list[tuple[
         if value is not None and key in units
     ]
     rows += [
-        (f"that noise over what is stated, in {kind}", diagnosis_sentences_and_table_rows.noise_factor_text(factor))
+        (
+            f"that noise over what is stated, in {kind}",
+            diagnosis_sentences_and_table_rows.noise_factor_and_interval_text(factor),
+        )
         for kind, factor in report.noise_times.items()
     ]
     return machine_figures.measurement() + rows

@@ -322,7 +322,7 @@ def _printed(name: str, p: Value, few: int) -> str:
     return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
 
 
-def noise_factor_text(factor: Value) -> str:
+def noise_factor_and_interval_text(factor: Value) -> str:
     """Text on one factor of noise over what is stated, with its interval."""
     assert factor.ci95 is not None
     low, high = factor.ci95
@@ -331,7 +331,7 @@ def noise_factor_text(factor: Value) -> str:
 
 def noise_excess_text(noise_factors: dict[str, Value]) -> str:
     """Text on the factors by which poses scatter more than is stated."""
-    each = [f"{noise_factor_text(value)} in {kind}" for kind, value in noise_factors.items()]
+    each = [f"{noise_factor_and_interval_text(value)} in {kind}" for kind, value in noise_factors.items()]
     return (
         f"the noise of the poses exceeds what is stated: {' and '.join(each)} (or something moves the machine at "
         "random, which these poses do not distinguish)"

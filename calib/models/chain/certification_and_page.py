@@ -21,7 +21,7 @@ from calib.certification.claimed_error_reduction_over_workspace import (
     empty_claim_of_too_few_configurations,
     mean_square_pose_errors_stated_by_extension,
 )
-from calib.certification.extended_correction_certification import empty_claim_without_held_out_data
+from calib.certification.configuration_space_correction_certification import empty_claim_without_held_out_data
 from calib.certification.held_out_errors import (
     HeldErrors,
     HeldOut,

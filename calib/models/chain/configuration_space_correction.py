@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.certification.claimed_error_reduction_over_workspace import mean_square_pose_errors_stated_by_extension
-from calib.certification.extended_correction_certification import (
+from calib.certification.configuration_space_correction_certification import (
     ExtensionBasis,
     ExtensionRequest,
     Tried,

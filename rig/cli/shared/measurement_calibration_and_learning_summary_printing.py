@@ -23,7 +23,7 @@ from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
 from vision.api import MeasurementResult, camera_time_lines
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
-from vision.bundle.marker_displacements import Places
+from vision.bundle.marker_and_target_displacements import Places
 
 
 def print_measurement(result: MeasurementResult) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Integers
 from rig.effects.framework.effect import Candidate
-from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import CURVATURE, ScaleWithCurvature
+from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import CURVATURE, ScaleWithCurvature
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     Context,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
+from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import (
     WeightedSum,
     lagged_lengths,
     parameter_of_weighted_sum_member_weights,

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import (
+from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import (
     WeightedSum,
     parameter_of_weighted_sum_member_weights,
 )

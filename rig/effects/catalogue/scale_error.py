@@ -6,7 +6,7 @@ A share of the stroke from home.
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import CURVATURE, ScaleWithCurvature
+from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import CURVATURE, ScaleWithCurvature
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     ControllerTerm,

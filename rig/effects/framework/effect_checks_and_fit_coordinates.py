@@ -18,7 +18,7 @@ from rig.model.arm_hands_effect_places_and_tolerances import AXES, NUMBER, Place
 MOST = 1000  # numbers of a parameter of any length
 
 
-def require_valid_effect_place_and_parameters(effect: Effect) -> Effect:
+def effect_with_valid_place_and_parameters(effect: Effect) -> Effect:
     """Check that an effect's place and parameters are permitted, and return it.
 
     Raises ValueError for a place where it cannot be or a parameter out of bounds.
@@ -156,7 +156,7 @@ def effects_with_coordinates(
     for c, value in zip(coordinates, values.tolist()):
         out[c.effect] = c.written(out[c.effect], value)
     try:
-        return tuple(require_valid_effect_place_and_parameters(effect.written()) for effect in out)
+        return tuple(effect_with_valid_place_and_parameters(effect.written()) for effect in out)
     except ValueError:  # a combination of numbers, each within its bounds, that an effect does not allow
         return None
 

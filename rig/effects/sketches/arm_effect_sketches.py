@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.sketches.motion_effect_sketches import (
     HIGH,
@@ -49,7 +49,7 @@ def draw_arm_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """
     place = str(Place.axis("joint", LINK))
     size = {p.name: p.usual[0] / factor for p in kind.parameters_at(place) if p.role == "inverse"}
-    effect = require_valid_effect_place_and_parameters(replace(kind(place), **size))
+    effect = effect_with_valid_place_and_parameters(replace(kind(place), **size))
     motion = _example_motion()
     return Sketch(place_and_changed_values_text(effect), (_displaced(effect, motion), _over_covariate(effect, motion)))
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect import Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, Parameter
 from rig.errors import RigError
@@ -101,7 +101,7 @@ def example_run_with_effect(
     motion = replace(motion, T=motion_simulation.simulate_machine_run(base, commands, t, (), sensors).T_base_platform)
     drawn = kind.drawn(place, Drawing(seen, t, motion, displaced), np.random.default_rng(SEED))
     values = {p.name: _size(p, span, getattr(drawn, p.name), factor) for p in kind.parameters_at(place)}
-    effect = require_valid_effect_place_and_parameters(replace(drawn, **values))
+    effect = effect_with_valid_place_and_parameters(replace(drawn, **values))
     reason = effect.needs(motion)
     if reason:
         raise RigError(f"{effect.name} {reason}")

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
 from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Parameter
 from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import NAME, nearest_known_word
@@ -74,7 +74,7 @@ def parse_effect(text: str, known_effects: Kinds = BY_NAME) -> Effect:
         if own[key].size == 1 and len(numbers) > 1:
             raise RigError(f"effect {short_repr(text)}: {key} is one number, got {short_repr(value)}")
     try:
-        return require_valid_effect_place_and_parameters(kind(place, **values))
+        return effect_with_valid_place_and_parameters(kind(place, **values))
     except (TypeError, ValueError) as error:
         raise RigError(f"effect {short_repr(text)}: {error}") from None
 
@@ -139,7 +139,7 @@ def require_known_effect(text: str, design: Design, known_effects: Kinds = BY_NA
     if not place:
         return text
     try:
-        require_existing_place(require_valid_effect_place_and_parameters(kind(place)), design)
+        effect_with_existing_place(effect_with_valid_place_and_parameters(kind(place)), design)
     except ValueError as error:
         raise RigError(f"{short_repr(text)}: {error}") from None
     return text
@@ -157,15 +157,15 @@ def parse_effect_and_place(text: str, design: Design, known_effects: Kinds = BY_
             f"{short_repr(text)}: a {name} is searched for first and cannot be assumed; state it in rig.toml"
         )
     try:
-        effect = require_existing_place(
-            require_valid_effect_place_and_parameters(kind(_place(place.strip(), kind))), design
+        effect = effect_with_existing_place(
+            effect_with_valid_place_and_parameters(kind(_place(place.strip(), kind))), design
         )
     except ValueError as error:
         raise RigError(f"{short_repr(text)}: {error}") from None
     return effect.name, effect.place
 
 
-def require_existing_place(effect: Effect, design: Design) -> Effect:
+def effect_with_existing_place(effect: Effect, design: Design) -> Effect:
     """Require that an effect's place exists in the design, and return the effect.
 
     Raises RigError otherwise.
@@ -175,7 +175,7 @@ def require_existing_place(effect: Effect, design: Design) -> Effect:
     slide = replace(site, kind="slide")
     if kind == "joint" and slide in places:
         try:
-            return require_valid_effect_place_and_parameters(replace(effect, place=str(slide)))
+            return effect_with_valid_place_and_parameters(replace(effect, place=str(slide)))
         except ValueError as error:
             raise RigError(str(error)) from None
     if kind in AXES and design.mechanism.bodies and site not in places:
@@ -325,7 +325,7 @@ def _parameters_problem(kind: type[Effect]) -> str | None:
 def _default_problem(kind: type[Effect]) -> str | None:
     for place in kind.places:
         try:
-            require_valid_effect_place_and_parameters(kind(EXAMPLE.get(place, place)))
+            effect_with_valid_place_and_parameters(kind(EXAMPLE.get(place, place)))
         except Exception as error:
             return f"cannot be made with its defaults at {place}: {error}"
     return None

@@ -16,7 +16,7 @@ from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known
 from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_columns import Cells
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import split_header
+from rig.formats.importers.table_units_and_timestamps import split_header
 from rig.formats.importers.urdf_hands_and_dh_rows_of_joint_axes import (
     PlacedRows,
     denavit_hartenberg_rows_of_joint_axes,

@@ -28,7 +28,7 @@ from rig.formats.importers.foreign_table_columns import (
     column_indices_by_headers,
 )
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import (
+from rig.formats.importers.table_units_and_timestamps import (
     ambiguity_error,
     fits_ranges_within_a_tenth,
     is_likely_length_unit,

@@ -18,7 +18,7 @@ from rig.formats.importers.foreign_table_columns import (
     lines_with_missing_header_added,
 )
 from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
-from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.table_units_and_timestamps import ambiguity_error
 from rig.formats.importers.yaml_and_matlab_tables_and_array_cells import (
     APART,
     cells_with_arrays_as_columns,

@@ -17,7 +17,7 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import LARGEST_NUMBER
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.units_and_timestamps import (
+from rig.formats.importers.table_units_and_timestamps import (
     TIMES,
     Times,
     UnclearInput,

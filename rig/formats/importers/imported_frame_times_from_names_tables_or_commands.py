@@ -28,7 +28,7 @@ from rig.formats.importers.foreign_table_columns import (
     column_indices_by_headers,
 )
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
-from rig.formats.importers.units_and_timestamps import UnclearInput
+from rig.formats.importers.table_units_and_timestamps import UnclearInput
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS
 from rig.recording.recording_folder import LAST_DWELL
 

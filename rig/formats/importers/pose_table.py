@@ -23,7 +23,7 @@ from rig.formats.importers.foreign_table_columns import (
     column_indices_by_headers,
 )
 from rig.formats.importers.import_recipe import EULER, ForeignTable
-from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.table_units_and_timestamps import ambiguity_error
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names

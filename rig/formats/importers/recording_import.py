@@ -33,7 +33,7 @@ from rig.formats.importers.imported_frame_times_from_names_tables_or_commands im
     seconds_since_origin,
 )
 from rig.formats.importers.pose_table import ImportedPoses, read_poses
-from rig.formats.importers.units_and_timestamps import UnclearInput
+from rig.formats.importers.table_units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes

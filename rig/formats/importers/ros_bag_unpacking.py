@@ -29,7 +29,7 @@ from rig.formats.importers.ros_messages_to_images_and_rows import (
     append_time_of_ros_message,
     write_image_message,
 )
-from rig.formats.importers.units_and_timestamps import ambiguity_error
+from rig.formats.importers.table_units_and_timestamps import ambiguity_error
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.output_files import write_bytes
 from rig.model.design import Design

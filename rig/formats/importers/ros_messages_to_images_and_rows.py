@@ -138,7 +138,7 @@ class Topic:
     stamped: bool | None = None
 
 
-def encode_image_message(message: ImageMessage, compressed: bool, place: str) -> tuple[str, bytes]:
+def image_file_bytes_and_suffix_of_message(message: ImageMessage, compressed: bool, place: str) -> tuple[str, bytes]:
     """Encode a ROS image message as the bytes of an image file, with its suffix.
 
     place : of it, for complaints. Raises RigError for what is not taken, and for half an image.
@@ -199,7 +199,7 @@ def write_image_message(folder: Path, topic: Topic, message: Message, file: Path
     Raises FileError for two of one time.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    suffix, content = encode_image_message(
+    suffix, content = image_file_bytes_and_suffix_of_message(
         message, topic.kind.endswith("CompressedImage"), f"{file}: topic {topic.name}, message {len(topic.t)}"
     )
     place = folder / f"{topic.t[-1]:020d}{suffix}"

@@ -266,7 +266,7 @@ def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permis
     return Permission(tuple(out))
 
 
-def targets_with_quarter_turns_of_table(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
+def targets_with_cubes_turned_by_table(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
     """The targets with the quarter turns of the table [turned] applied to their cubes.
     Raises FileError for one that there is not.
     """

@@ -114,7 +114,7 @@ def design_of_entries(root: Entries) -> Design:
         camera_instrument_experiment_and_cube_entries.cameras_of_tables(root.tables("camera")),
         _targets(root.tables("target"), bodies_by_name_in_rig_toml(mechanism)),
     )
-    targets = camera_instrument_experiment_and_cube_entries.targets_with_quarter_turns_of_table(
+    targets = camera_instrument_experiment_and_cube_entries.targets_with_cubes_turned_by_table(
         root.table("turned", optional=True), targets
     )
     camera_instrument_experiment_and_cube_entries.require_supported_hand_mounted_cameras(

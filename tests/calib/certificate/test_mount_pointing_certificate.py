@@ -8,7 +8,7 @@ from scipy.stats import rice
 
 import calib
 from calib.api.calibrate import CalibrateOptions
-from calib.certificate.certificate_contents import CertifyOptions
+from calib.certificate.certificate_content_dataclasses import CertifyOptions
 from calib.certification.noise_free_errors_and_tolerance_limits import (
     _likelihood,
     tolerance_limits_of_true_errors,

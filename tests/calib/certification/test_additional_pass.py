@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.extended_correction_certification import claim_without_geometry
+from calib.certification.configuration_space_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction import correction_field_methods_fitting_combination_and_json
 from calib.correction.correction import Correction

@@ -11,8 +11,8 @@ from calib.certification.held_out_errors import errors_before_and_after_correcti
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
+    effect_with_existing_place,
     parse_effect,
-    require_existing_place,
     require_nonzero_effect,
 )
 from rig.formats.rig_toml import design_from_rig_toml
@@ -36,7 +36,7 @@ def test_random_play_stands_out_on_a_balanced_plan(tmp_path: Path, seed: int) ->
         np.random.default_rng(100 + seed),
         1.0,
         [
-            require_nonzero_effect(require_existing_place(parse_effect(f"backlash:strut{i + 1}:gap={gap}"), design))
+            require_nonzero_effect(effect_with_existing_place(parse_effect(f"backlash:strut{i + 1}:gap={gap}"), design))
             for i, gap in enumerate(gaps)
         ],
     )

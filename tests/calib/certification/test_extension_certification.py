@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.extended_correction_certification import (
+from calib.certification.configuration_space_correction_certification import (
     ExtensionRequest,
     certify_extended_correction,
     claim_without_geometry,

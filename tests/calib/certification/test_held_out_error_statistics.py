@@ -15,7 +15,7 @@ from calib.certification.claimed_error_reduction_over_workspace import (
     ConfigurationInformation,
     claim_from_mean_square_errors,
 )
-from calib.certification.extended_correction_certification import (
+from calib.certification.configuration_space_correction_certification import (
     ExtensionRequest,
     certify_extended_correction,
     claim_without_geometry,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.online.hexapod_information_filter import Online
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import FileError, NotEnoughData, RigError
@@ -22,12 +22,12 @@ from tests.calib.noisy_samples import rms
 def measured(limbed):
     """(Samples whose commands are the readings, the limbs as stated, all frames, all readings)."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(read)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(read)
     return (
-        measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+        measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
             sample_recording(read).samples, frames, lengths
         ),
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
         frames,
         lengths,
     )
@@ -46,7 +46,7 @@ def test_readings_are_the_limbs_lengths(limbed, measured):
 def test_calibrated_limbs_measure_poses_as_stated(limbed, measured):
     _, _, done = limbed
     samples, nominal, frames, lengths = measured
-    limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     true = done.run.T_base_platform
     error = pose_difference(true, T)
@@ -55,7 +55,7 @@ def test_calibrated_limbs_measure_poses_as_stated(limbed, measured):
         rms(
             pose_difference(
                 true,
-                measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(nominal, np.eye(42), np.ones(6)).pose(
+                measuring_limb_calibration_slips_and_vision_agreement.Limbs(nominal, np.eye(42), np.ones(6)).pose(
                     lengths
                 ),
             )
@@ -71,8 +71,8 @@ def test_calibrated_limbs_measure_poses_as_stated(limbed, measured):
 
 def test_agreement_is_what_covariances_expect(measured):
     samples, nominal, *_ = measured
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
     assert found.passed.all() and found.n == 80
@@ -84,7 +84,7 @@ def test_limits_of_agreement_are_hand_worked(design):
     T = exp(np.zeros((4, 6))) * design.mechanism.home
     shift = np.zeros((4, 6))
     shift[:, 0] = [1e-5, 3e-5, 1e-5, 3e-5]
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         T, T * exp(shift), np.zeros((4, 6, 6)), (1e-3, 1e-3)
     )
     sd = np.sqrt(4 / 3) * 1e-5
@@ -96,7 +96,7 @@ def test_limits_of_agreement_are_hand_worked(design):
 @pytest.mark.parametrize("spoil", ["bias", "scatter", "scale"])
 def test_limbs_that_are_wrong_do_not_pass(measured, spoil):
     samples, nominal, *_ = measured
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
     wrong = np.zeros((len(samples), 6))
     if spoil == "bias":
         wrong[:, 2] = 6e-5
@@ -104,7 +104,7 @@ def test_limbs_that_are_wrong_do_not_pass(measured, spoil):
         wrong[:, 2] = 4e-5 * np.random.default_rng(0).normal(size=len(samples))
     else:
         wrong[:, 2] = 2e-3 * (samples.T_base_platform.translation[:, 2] - 0.45)
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T * exp(wrong), expected, (5e-5, 3e-4)
     )
     assert not found.passed[2] and found.passed[3:].all()
@@ -114,7 +114,7 @@ def test_limbs_that_are_wrong_do_not_pass(measured, spoil):
 def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     _, read, done = limbed
     samples, nominal, frames, lengths = measured
-    limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)
     T = limbs.pose(lengths)
     own, common = limbs.uncertainty(T)
     learner = Online(read.design.mechanism, shared=42)
@@ -128,13 +128,13 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     assert error[0] < before[0] / 20
     vision = samples.total_covariance()
     agrees = [
-        measuring_limb_calibration_agreement_with_vision_and_slips.vision_agrees_with_limbs(
+        measuring_limb_calibration_slips_and_vision_agreement.vision_agrees_with_limbs(
             samples.T_base_platform[i], vision[i], T[i], own[i], common[i]
         )
         for i in range(len(samples))
     ]
     assert all(agrees)
-    assert not measuring_limb_calibration_agreement_with_vision_and_slips.vision_agrees_with_limbs(
+    assert not measuring_limb_calibration_slips_and_vision_agreement.vision_agrees_with_limbs(
         samples.T_base_platform[0] * exp(np.array([0, 0, 2e-4, 0, 0, 0])), vision[0], T[0], own[0], common[0]
     )
 
@@ -142,28 +142,24 @@ def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
 def test_what_is_missing_is_said(limbed, design, tmp_path):
     _, read, _ = limbed
     with pytest.raises(RigError, match=r"no \[insitu\] table"):
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design)
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design)
     with pytest.raises(RigError, match="'m3' is missing"):
-        measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(
+        measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(
             replace(
                 read, sensors=Sensors(read.sensors.t, {k: v for k, v in read.sensors.channels.items() if k != "m3"})
             )
         )
     with pytest.raises(RigError, match="there is no sensors.csv"):
-        measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(
-            replace(read, sensors=None)
-        )
+        measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(replace(read, sensors=None))
     sparse = Sensors(
         np.arange(0.0, 2000.0, 30.0) + 0.123,
         {
             name: np.full(67, 0.5)
-            for name in measuring_limb_calibration_agreement_with_vision_and_slips.stated_limbs(read.design).channels
+            for name in measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(read.design).channels
         },
     )
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
-        measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(
-            replace(read, sensors=sparse)
-        )
+        measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(replace(read, sensors=sparse))
     (tmp_path / "rig.toml").write_text(
         hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)).replace(
             "length_sigma = 1e-6", "length_sigma = -1"
@@ -176,6 +172,6 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
 def test_too_few_poses_for_limits(measured):
     samples, nominal, *_ = measured
     with pytest.raises(NotEnoughData, match="at least 20"):
-        measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(
+        measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(
             samples.take(np.arange(12)), nominal, 1e-6
         )

@@ -10,7 +10,7 @@ import pytest
 
 from calib.certification import (
     loop_closure_checks_of_redundant_measuring_limbs,
-    measuring_limb_calibration_agreement_with_vision_and_slips,
+    measuring_limb_calibration_slips_and_vision_agreement,
 )
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
@@ -47,13 +47,13 @@ def limbs(machine):
     """Limbs of which six are known as vision would have them, and the checks fitted to their poses."""
     design, true, read, T = machine
     chosen = loop_closure_checks_of_redundant_measuring_limbs.best_six_limbs(design.insitu, design.mechanism.home, T)
-    six = measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true, chosen),
+    six = measuring_limb_calibration_slips_and_vision_agreement.Limbs(
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(true, chosen),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         chosen,
     )
-    return measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
+    return measuring_limb_calibration_slips_and_vision_agreement.Limbs(
         six.hexapod,
         six.covariance,
         six.sigma,
@@ -91,8 +91,8 @@ def test_of_six_limbs_none_is_over_to_be_checked(machine):
     stated = design_from_rig_toml.design_of_entries(
         toml_entries(hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)), "rig.toml")
     ).insitu
-    six = measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true, np.arange(6)),
+    six = measuring_limb_calibration_slips_and_vision_agreement.Limbs(
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(true, np.arange(6)),
         1e-14 * np.eye(42),
         np.full(6, 1e-6),
         np.arange(6),
@@ -125,7 +125,7 @@ def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
         RigError,
         match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths determine no",
     ):
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design)
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design)
     assert not loop_closure_checks_of_redundant_measuring_limbs.has_six_measuring_limbs(design)
 
 

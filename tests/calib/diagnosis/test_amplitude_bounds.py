@@ -8,7 +8,7 @@ from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.framework.effect import QUADRATURE, Candidate, Linear
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 
 
 @pytest.mark.parametrize("kind", [Vibration, CyclicError])
@@ -25,5 +25,5 @@ def test_coefficients_stay_within_the_amplitudes_bound(kind):
     for _ in range(50):
         wanted = rng.normal(size=len(columns)) * 10 ** rng.uniform(-6, 1)
         found, free = (candidate.effect(node, c) for c in (candidate.allowed(wanted), wanted))
-        assert require_valid_effect_place_and_parameters(found).amplitude == pytest.approx(min(free.amplitude, high))
+        assert effect_with_valid_place_and_parameters(found).amplitude == pytest.approx(min(free.amplitude, high))
         assert found.phase == pytest.approx(free.phase, abs=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
 from calib.models.platform.identification import pose_parameter_jacobian
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
@@ -32,19 +32,19 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(read)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(read)
     samples, nominal = (
-        measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+        measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
             by_vision, frames, lengths
         ),
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
     )
-    T, expected = measuring_limb_calibration_agreement_with_vision_and_slips.held_out_limb_poses(samples, nominal, 1e-6)
-    found = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
     return accepted_measuring_limbs_file.Accepted(
-        measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(samples, nominal, 1e-6)[0],
+        measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)[0],
         nominal,
         found,
         None,
@@ -182,16 +182,16 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, second_r
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
-        samples = measuring_limb_calibration_agreement_with_vision_and_slips.samples_with_limb_readings_as_commands(
+        samples = measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
             by_vision,
-            *measuring_limb_calibration_agreement_with_vision_and_slips.limb_readings_at_exposures(
+            *measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(
                 slipped(read, limb, by, at)
             ),
         )
-        limbs, _ = measuring_limb_calibration_agreement_with_vision_and_slips.calibrate_limbs(
-            samples, measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design), 1e-6
+        limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(
+            samples, measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design), 1e-6
         )
-        found = measuring_limb_calibration_agreement_with_vision_and_slips.detect_limb_slip(samples, limbs, 1e-6)
+        found = measuring_limb_calibration_slips_and_vision_agreement.detect_limb_slip(samples, limbs, 1e-6)
         assert (found is None) == (by == 0)
         assert found is None or (
             found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5

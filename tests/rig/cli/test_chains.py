@@ -14,7 +14,7 @@ from calib.models.chain import error_model_and_identification
 from calib.models.chain.error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.cli import command_line
-from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_existing_place
+from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import effect_with_existing_place, parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin, machine_geometry_and_effects_json_file
 from rig.formats.rig_toml import design_from_rig_toml
@@ -218,7 +218,7 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     [("backlash:stage2strut3:gap=1e-4", "stage 2 strut 3"), ("backlash:stage 1 joint 2:gap=1e-4", "stage 1 slide 2")],
 )
 def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
-    effect = require_existing_place(parse_effect(text), design)
+    effect = effect_with_existing_place(parse_effect(text), design)
     assert effect.place == place
     t = np.array([0.0, 1.0, 2.0, 3.0])
     home, far = mechanism_chain.home_values(gantry), mechanism_chain.travel_ranges(gantry)[:, 0]
@@ -240,7 +240,7 @@ def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
 )
 def test_places_that_a_chain_does_not_have_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        require_existing_place(parse_effect(text), design)
+        effect_with_existing_place(parse_effect(text), design)
 
 
 @pytest.mark.slow

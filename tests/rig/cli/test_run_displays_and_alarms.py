@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.online.accepted_measuring_limbs_file import Accepted
 from calib.online.live_learner_limb_watch_run_state_and_display import Learner
 from calib.online.measuring_limb_poses_checked_by_vision import LiveLimbPoses
@@ -197,18 +197,18 @@ def by_limbs(folder, slip, at):
     design = design_from_rig_toml.load_design(folder / "rig.toml")
     true, nominal, rng = (
         design.mechanism,
-        measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
+        measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
         np.random.default_rng(5),
     )
     commands = sobol_configurations(true.strut_range, 60, 0.6)
     poses = hexapod.forward(commands, true)
     live = TrueMeasurement(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
     clock, withdrawn, planned = SimulatedClock(), [], steps_of_plan(build_plan(design, "sobol:6"))
-    agreement = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    agreement = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3)
     )
     accepted = Accepted(
-        measuring_limb_calibration_agreement_with_vision_and_slips.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
+        measuring_limb_calibration_slips_and_vision_agreement.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)),
         nominal,
         agreement,
         None,

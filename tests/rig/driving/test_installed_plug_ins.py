@@ -12,7 +12,7 @@ from rig.cli.command_line import main
 from rig.driving.cameras import open_camera
 from rig.driving.clock import SimulatedClock
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
-from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensor_reader
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensors_of_rig_toml
 from rig.errors import RigError
 from rig.model.design import SensorPort
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -66,7 +66,7 @@ def test_a_camera_and_sensors_of_a_package_are_opened(installed):
     image = open_camera(camera("package:grey"), Ticking()).grab().image
     assert image.shape == SIZE[::-1] and (image == GREY).all()
     stated = SensorPort("package:gauge", 9600, "", ("gauge", "air_temperature_C"))
-    assert open_sensor_reader(stated, SimulatedClock()).read() == {"gauge": 0.0012, "air_temperature_C": 20.4}
+    assert open_sensors_of_rig_toml(stated, SimulatedClock()).read() == {"gauge": 0.0012, "air_temperature_C": 20.4}
 
 
 def test_the_package_is_found_only_where_it_is_installed(tmp_path, capsys):

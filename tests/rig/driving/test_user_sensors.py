@@ -4,7 +4,7 @@ import pytest
 
 from rig.driving.clock import SimulatedClock
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
-    open_sensor_reader,
+    open_sensors_of_rig_toml,
     refuse_programs_of_untrusted_rig_toml,
 )
 from rig.errors import FileError, NoAnswer, RigError
@@ -39,7 +39,7 @@ def port(folder, text):
 
 
 def test_readings_come_in_the_order_of_the_channels(tmp_path):
-    reader = open_sensor_reader(port(tmp_path, FILE), SimulatedClock())
+    reader = open_sensors_of_rig_toml(port(tmp_path, FILE), SimulatedClock())
     assert [reader.read(), reader.read()] == [{"gauge": 0.5, "air": 20.0}, {"gauge": 1.0, "air": 20.0}]
     reader.close()
 
@@ -48,7 +48,7 @@ def test_readings_come_in_the_order_of_the_channels(tmp_path):
 def test_what_is_wrong_is_named(tmp_path, old, new, kind, message):
     assert old in FILE
     with pytest.raises(kind, match=message):
-        open_sensor_reader(port(tmp_path, FILE.replace(old, new, 1)), SimulatedClock()).read()
+        open_sensors_of_rig_toml(port(tmp_path, FILE.replace(old, new, 1)), SimulatedClock()).read()
 
 
 def test_a_program_of_sensors_is_not_run_from_a_recording(tmp_path):

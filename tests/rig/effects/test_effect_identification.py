@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
+    effect_with_existing_place,
     parse_effect,
-    require_existing_place,
     require_known_effect,
 )
 from rig.errors import RigError
@@ -32,14 +32,14 @@ from rig.planning import plan
 )
 def test_places_that_the_rig_lacks_are_refused(design, text, says):
     with pytest.raises(RigError, match=says):
-        require_existing_place(parse_effect(text), design)
+        effect_with_existing_place(parse_effect(text), design)
 
 
 def test_a_planar_rig_has_two_struts(design):
     planar = replace(design, mechanism=Planar2([[0.0, 0.0], [1.0, 0.0]], [[0.5, 1.5], [0.5, 1.5]]))
-    assert require_existing_place(parse_effect("backlash:strut2:gap=1e-5"), planar).place == "strut 2"
+    assert effect_with_existing_place(parse_effect("backlash:strut2:gap=1e-5"), planar).place == "strut 2"
     with pytest.raises(RigError, match="it has 1, 2$"):
-        require_existing_place(parse_effect("backlash:strut3:gap=1e-5"), planar)
+        effect_with_existing_place(parse_effect("backlash:strut3:gap=1e-5"), planar)
 
 
 @pytest.mark.parametrize(

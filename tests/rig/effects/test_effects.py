@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
@@ -123,7 +123,7 @@ def test_the_catalogue_is_whole():
 def test_zero_parameters_change_nothing(setting_of, kind, place):
     setting = setting_of(kind)
     np.testing.assert_allclose(
-        corners(setting, [require_valid_effect_place_and_parameters(kind(place))]), corners(setting, []), atol=1e-9
+        corners(setting, [effect_with_valid_place_and_parameters(kind(place))]), corners(setting, []), atol=1e-9
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from calib.diagnosis.problems.platform.platform_vibration_frequency_search import rank_one_direction_and_phase_fits
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.framework.effect import MOTION_STAGES, Context
-from rig.effects.framework.effect_checks_and_fit_coordinates import require_valid_effect_place_and_parameters
+from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.machine_motion_and_play import Path
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
@@ -88,11 +88,11 @@ def test_zero_changes_nothing_and_a_drawn_one_something(mechanism_setting, kind)
     drawing = Drawing(design, t, context.motion, lambda effect, camera: 1.0)
     for place in _sites(kind, context)[-2:]:
         zero = motion_simulation.simulate_machine_run(
-            design, commands, t, [_other(require_valid_effect_place_and_parameters(kind(place)), context)], sensors
+            design, commands, t, [_other(effect_with_valid_place_and_parameters(kind(place)), context)], sensors
         )
         np.testing.assert_allclose(pose_difference(zero.T_base_platform, clean), 0, atol=1e-9)
         found = motion_simulation.simulate_machine_run(
-            design, commands, t, [require_valid_effect_place_and_parameters(kind.drawn(place, drawing, rng))], sensors
+            design, commands, t, [effect_with_valid_place_and_parameters(kind.drawn(place, drawing, rng))], sensors
         )
         moved = np.abs(pose_difference(found.T_base_platform, clean))
         assert moved.shape == (60, 6) and np.isfinite(moved).all() and 1e-9 < moved.max() < 0.5
@@ -128,7 +128,7 @@ def test_columns_are_the_derivatives_of_the_model(mechanism_setting, kind):
             coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(
                 0.5, 2, len(candidate.linear)
             )
-            effect = require_valid_effect_place_and_parameters(candidate.effect(shape, coefficients))
+            effect = effect_with_valid_place_and_parameters(candidate.effect(shape, coefficients))
             predicted = columns @ (coefficients if len(coefficients) else np.ones(1))
             np.testing.assert_allclose(
                 effect.deviation(context.motion), predicted, rtol=1e-6, atol=1e-3 * np.abs(predicted).max() * 1e-3

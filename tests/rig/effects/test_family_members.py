@@ -8,8 +8,8 @@ from rig.effects.catalogue.hysteresis import PLAYS, Hysteresis
 from rig.effects.catalogue.warm_up import WarmUp
 from rig.effects.framework.effect import COUNT, Candidate
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
+    effect_with_valid_place_and_parameters,
     fit_coordinates_of_effects,
-    require_valid_effect_place_and_parameters,
 )
 from rig.effects.framework.parameters_covariates_and_marker_table import Linear
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
@@ -74,7 +74,7 @@ def test_a_strut_follows_its_thermometer_late(design, home):
 
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
 def test_shares_are_written_with_the_sum_of_one_and_do_the_same(design, home, effect):
-    written, values = require_valid_effect_place_and_parameters(effect.written()), out_and_back(home, 0.02)
+    written, values = effect_with_valid_place_and_parameters(effect.written()), out_and_back(home, 0.02)
     assert np.isclose(sum(written.shares), 1.0) and not np.isclose(sum(effect.shares), 1.0)
     np.testing.assert_allclose(
         moved(design, values, [0.3, 1, 2], written), moved(design, values, [0.3, 1, 2], effect), rtol=1e-9
@@ -84,7 +84,7 @@ def test_shares_are_written_with_the_sum_of_one_and_do_the_same(design, home, ef
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
 def test_shares_of_another_sum_are_refused(effect):
     with pytest.raises(ValueError, match=f"{effect.name}: shares have the sum of 1, not"):
-        require_valid_effect_place_and_parameters(effect)
+        effect_with_valid_place_and_parameters(effect)
 
 
 @pytest.mark.parametrize("effect", SHARED, ids=lambda effect: effect.name)
@@ -98,9 +98,9 @@ def test_only_another_member_has_its_shares_fitted(effect):
 def test_members_that_cancel_have_shares_within_their_bounds():
     candidate = Candidate(WarmUp, "strut 1", [], [Linear("amplitude", k, 1e-6) for k in range(2)])
     node = {"time_constant": 1800.0, COUNT: 2}
-    made = require_valid_effect_place_and_parameters(candidate.effect(node, np.array([-2.19e-5, 2.29e-5])))
+    made = effect_with_valid_place_and_parameters(candidate.effect(node, np.array([-2.19e-5, 2.29e-5])))
     assert made.shares[0] == pytest.approx(-5) and sum(made.shares) == pytest.approx(1)
     rng = np.random.default_rng(7)
     for size in rng.normal(size=2000):  # the scaled shares end at the bound but for rounding
         small = 1 + 0.05 * rng.random()
-        require_valid_effect_place_and_parameters(candidate.effect(node, 1e-5 * size * np.array([-small, 1.0])))
+        effect_with_valid_place_and_parameters(candidate.effect(node, 1e-5 * size * np.array([-small, 1.0])))

@@ -9,8 +9,8 @@ import pytest
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect import Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
+    effect_with_valid_place_and_parameters,
     fit_coordinates_of_effects,
-    require_valid_effect_place_and_parameters,
 )
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import (
     HISTORY,
@@ -47,7 +47,7 @@ def test_a_curve_is_the_sum_of_its_columns_at_its_place_alone(design, motion, ki
     for candidate in kind.candidates("strut 3", context):
         node = {**candidate.grid[0], "size": 2e-5}
         sizes = np.linspace(-1, 1, len(candidate.linear))
-        curve = require_valid_effect_place_and_parameters(candidate.effect(node, sizes))
+        curve = effect_with_valid_place_and_parameters(candidate.effect(node, sizes))
         moved = curve.deviation(motion)
         assert np.allclose(moved, 2e-5 * candidate.deviation(candidate.grid[0], motion) @ sizes, atol=1e-18)
         assert moved[:, 2].any() and not np.delete(moved, 2, axis=1).any()

@@ -104,7 +104,7 @@ def test_poses_on_the_command_line():
     [
         (certify.parse_share_between_half_and_one, "0.9999", ("0.4", "1", "1_0")),
         (certify.parse_relative_uncertainty, "0", ("0.1", "-1e-9", "1_0")),
-        (certify.parse_rated_load, "12.5", ("1e6", "-1", "1_0", "nan")),
+        (certify.parse_rated_load_kg, "12.5", ("1e6", "-1", "1_0", "nan")),
     ],
 )
 def test_what_a_certificate_is_asked_for_is_a_number_within_its_bounds(read, good, bad):

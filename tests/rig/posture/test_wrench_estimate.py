@@ -141,8 +141,10 @@ def test_greatest_forces_are_those_of_linear_programming():
             wrench = np.r_[direction, 0, 0, 0]
             along = programmed((A @ direction)[:, None], low, high, np.ones(1))
             assert ExertionObjective(wrench, STRENGTH).value(one, PANDA) == pytest.approx(along, rel=1e-9)
-        least, weak = arm_force_transmission_and_exertable_wrench.force_in_every_direction_and_weakest_direction(
-            A, low, high
+        least, weak = (
+            arm_force_transmission_and_exertable_wrench.greatest_force_in_all_directions_and_weakest_direction(
+                A, low, high
+            )
         )
         rays = (
             arm_force_transmission_and_exertable_wrench.greatest_load_multiple(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.certification.measuring_limb_calibration_agreement_with_vision_and_slips import Agreement
+from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import Agreement
 from calib.experiment.investigation_folder_and_report import Hypothesis, InvestigationRound, write_investigation_page
 from calib.report.online_learning_and_measuring_limb_pages import write_measuring_limbs_page
 from synthetic.blind_campaign_page import write_campaign_page

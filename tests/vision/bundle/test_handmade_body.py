@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from rig.model.pose import log
 from tests.vision.handmade_body import Handmade, handmade
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
-from vision.bundle.marker_displacements import are_stated_places_doubtful, marker_displacements
+from vision.bundle.marker_and_target_displacements import are_stated_places_doubtful, marker_and_target_displacements
 from vision.corner_observations import observations_from_corners
 from vision.predict import marker_map
 from vision.recording_adjustment import Measurement
@@ -46,8 +46,8 @@ def test_a_handmade_body_is_measured(far):
     made = handmade(1, far=far)
     m = measured(made)
     assert m.places_free and len(m.frames) == 100 and m.noise < 1.1 * 0.1 and m.inliers.mean() > 0.999
-    assert len(marker_displacements(m.adjustment)) == 18 and all(
-        move.moved for move in marker_displacements(m.adjustment)
+    assert len(marker_and_target_displacements(m.adjustment)) == 18 and all(
+        move.moved for move in marker_and_target_displacements(m.adjustment)
     )
     assert squares(made, m).max() < chi2.isf(1e-4, 6)
     for stated, true, found in zip(made.stated.cameras, made.true.cameras, m.design.cameras):

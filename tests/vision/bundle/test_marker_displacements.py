@@ -16,7 +16,7 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
 )
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
 from vision.bundle.bundle_adjustment import adjust_bundle
-from vision.bundle.marker_displacements import adjusted_markers, compare_stated_and_adjusted_places
+from vision.bundle.marker_and_target_displacements import adjusted_markers, compare_stated_and_adjusted_places
 from vision.predict import marker_map
 from vision.recording_adjustment import measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers

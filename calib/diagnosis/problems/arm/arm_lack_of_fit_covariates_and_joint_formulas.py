@@ -51,7 +51,7 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
     smooth_functions_of_time_and_sensors,
 )
 from rig.array_and_json_types import Floats
-from rig.effects.framework.lag_weighted_sum_and_scale_laws_shared_by_effects import independent_load_column_indices
+from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import independent_load_column_indices
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms import axis_places

@@ -44,9 +44,9 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,
     cost_of_priors,
+    effect_with_valid_place_and_parameters,
     effects_with_coordinates,
     inverse_prior_standard_deviation,
-    require_valid_effect_place_and_parameters,
 )
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp
@@ -212,7 +212,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         if known is None:
             continue
         try:
-            added = require_valid_effect_place_and_parameters(score.candidate.effect(score.node, share * theta))
+            added = effect_with_valid_place_and_parameters(score.candidate.effect(score.node, share * theta))
         except ValueError as error:  # as sums of several members may be: a smaller share of the step is within bounds
             beyond = str(error)
             continue

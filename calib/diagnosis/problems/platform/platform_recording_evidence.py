@@ -85,7 +85,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
-from vision.bundle.marker_displacements import Move, marker_displacements
+from vision.bundle.marker_and_target_displacements import Move, marker_and_target_displacements
 
 FACE_MOTION = effect_of_tolerance(PLACES)  # what a face is off by, however small
 
@@ -283,7 +283,7 @@ def platform_evidence(
     faces = "auto" if requested.name(FACE_MOTION.name) else "stated"
     point, source, measured = operating_point_of_recording(recording, progress, calibration, faces, sampled)
     moved = (
-        [m for m in marker_displacements(measured.adjustment) if m.moved]
+        [m for m in marker_and_target_displacements(measured.adjustment) if m.moved]
         if measured is not None and measured.places_free
         else []
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.extended_correction_certification import ExtensionRequest
+from calib.certification.configuration_space_correction_certification import ExtensionRequest
 from calib.correction.correction_field_methods_fitting_combination_and_json import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import error_model_and_observations

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.extended_correction_certification import ExtensionRequest
+from calib.certification.configuration_space_correction_certification import ExtensionRequest
 from calib.files import calibration_file
 from calib.models.chain.certification_and_page import chain_pose_covariance, chain_workspace_claim
 from calib.models.chain.configuration_space_correction import (

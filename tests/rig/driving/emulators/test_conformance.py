@@ -8,7 +8,7 @@ from rig.cli.command_line import main
 from rig.driving.cameras import open_camera
 from rig.driving.clock import SystemClock
 from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
-from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensor_reader
+from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensors_of_rig_toml
 from rig.model.design import SensorPort
 from tests.conftest import ROOT
 from tests.rig.conftest import EVERY_PROTOCOL
@@ -90,7 +90,7 @@ def test_the_page_shows_the_file_that_is_written_and_a_camera_that_works(tmp_pat
     assert (open_camera(camera(f"file:{tmp_path}/cam.py"), SystemClock()).grab().image == 128).all()
     (tmp_path / "gauge.py").write_text(sensors_file)
     stated = SensorPort(f"file:{tmp_path}/gauge.py", 115200, "", ("gauge", "air_temperature_C"))
-    assert open_sensor_reader(stated, SystemClock()).read() == {"gauge": 0.0012, "air_temperature_C": 20.4}
+    assert open_sensors_of_rig_toml(stated, SystemClock()).read() == {"gauge": 0.0012, "air_temperature_C": 20.4}
 
 
 def test_a_protocol_is_given_by_its_option_and_written_by_either_name(tmp_path, monkeypatch, capsys):

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
-from rig.formats.importers.ros_messages_to_images_and_rows import encode_image_message
+from rig.formats.importers.ros_messages_to_images_and_rows import image_file_bytes_and_suffix_of_message
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
@@ -288,7 +288,7 @@ def test_a_mosaic_becomes_the_grey_of_its_colours(encoding):
     colours = {"R": 200, "G": 120, "B": 40}
     cell = np.array([colours[letter] for letter in PATTERNS[encoding]], np.uint8).reshape(2, 2)
     pixels = np.tile(cell, (8, 8))
-    suffix, content = encode_image_message(
+    suffix, content = image_file_bytes_and_suffix_of_message(
         SimpleNamespace(encoding=encoding, width=16, height=16, step=16, is_bigendian=0, data=pixels.tobytes()),
         False,
         "x",
@@ -304,7 +304,10 @@ def test_deep_images_keep_their_depth_and_half_ones_are_refused():
     pixels = (np.arange(12).reshape(3, 4) * 5000).astype(">u2")
     message = SimpleNamespace(encoding="mono16", width=4, height=3, step=8, is_bigendian=1, data=pixels.tobytes())
     assert np.array_equal(
-        cv2.imdecode(np.frombuffer(encode_image_message(message, False, "x")[1], np.uint8), cv2.IMREAD_UNCHANGED),
+        cv2.imdecode(
+            np.frombuffer(image_file_bytes_and_suffix_of_message(message, False, "x")[1], np.uint8),
+            cv2.IMREAD_UNCHANGED,
+        ),
         pixels,
     )
     for change, says in (
@@ -313,7 +316,7 @@ def test_deep_images_keep_their_depth_and_half_ones_are_refused():
         (dict(height=0), "4 x 0 px"),
     ):
         with pytest.raises(RigError, match=says):
-            encode_image_message(SimpleNamespace(**{**vars(message), **change}), False, "x")
+            image_file_bytes_and_suffix_of_message(SimpleNamespace(**{**vars(message), **change}), False, "x")
 
 
 def test_a_missing_library_says_what_installs_it(rig, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.certification import measuring_limb_calibration_agreement_with_vision_and_slips
+from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
 from calib.correction.correction import Correction
@@ -24,7 +24,7 @@ from rig.planning.configuration_generators import sobol_configurations
 def machine(limbed):
     """(strut and limb Hexapods as they truly are, poses (40,))"""
     true = limbed[2].world.true
-    limbs = measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true)
+    limbs = measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(true)
     return (
         true.mechanism,
         limbs,
@@ -138,7 +138,7 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
         tmp_path / "closures.csv",
     )
     T = done.run.T_base_platform[:30]
-    agreement = measuring_limb_calibration_agreement_with_vision_and_slips.limb_agreement(
+    agreement = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         T, T, np.zeros((30, 6, 6)), (1e-3, 1e-3)
     )
     known = 1e-14 * np.eye(42)
@@ -146,11 +146,11 @@ def test_the_command_chooses_checks_and_names(limbed, tmp_path, capsys):
         limbs,
         accepted_measuring_limbs_file.Accepted(
             Limbs(
-                measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(true),
+                measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(true),
                 known,
                 np.full(6, 1e-6),
             ),
-            measuring_limb_calibration_agreement_with_vision_and_slips.hexapod_of_six_limbs(design),
+            measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
             agreement,
             None,
             {},

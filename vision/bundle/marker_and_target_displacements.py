@@ -106,7 +106,7 @@ def compare_stated_and_adjusted_places(measurement: Measured, t: Floats) -> Plac
     before = adjust_bundle(used, stated, rest, stated=a.stated)
     weighted = before.cost / before.dof, a.cost / a.dof
     return Places(
-        marker_displacements(a),
+        marker_and_target_displacements(a),
         m.frames,
         _by_frame(used, before.state, len(m.frames)),
         _by_frame(used, a.state, len(m.frames)),
@@ -149,7 +149,7 @@ def adjusted_markers(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
     return {name: tuple(rows) for name, rows in out.items()}
 
 
-def marker_displacements(adjustment: Adjustment) -> tuple[Move, ...]:
+def marker_and_target_displacements(adjustment: Adjustment) -> tuple[Move, ...]:
     """Displacements (Move, ...) of the markers that an Adjustment left free from where they are stated."""
     u, out = adjustment.unknowns, []
     moved = log(adjustment.stated.placed.T_body_marker.inv() * adjustment.state.placed.T_body_marker)
