@@ -3,6 +3,7 @@ ends with the right one.
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,16 @@ def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
     np.testing.assert_allclose(linearised.joints, d.selection.fit.arms.joints, atol=1e-12)
     np.testing.assert_allclose(linearised.freedoms, d.selection.fit.arms.freedoms, atol=1e-12)
     np.testing.assert_allclose(linearised.context.moved().lengths, d.selection.fit.arms.context.moved().lengths)
+
+
+def test_places_of_earlier_recordings_move_no_planned_pose(found):
+    """Base and tool of a second recording are fitted as freedoms of its own, which a plan's poses do not have."""
+    read, d = found
+    arms = d.selection.fit.arms
+    placed = replace(arms, freedoms=np.concatenate([arms.freedoms, np.ones((*arms.left.shape, 12))], axis=2))
+    planned = linearise_planned_poses(placed, d.selection.problem.geometry, read.commands, arms.t, None)
+    assert planned.freedoms.shape == placed.freedoms.shape
+    assert planned.freedoms[..., :-12].any() and not planned.freedoms[..., -12:].any()
 
 
 def test_what_names_foretell_differs_as_the_machine_does(found):
@@ -176,6 +187,19 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
     assert f"calibration.json: of 2 recordings, with {name} at joint 2" in notebook
     (undone,) = json.loads((out / "calibration.json").read_text())["physics"]["effects"]
     assert undone["effect"] == name
+
+
+@pytest.mark.slow
+def test_an_arm_whose_second_recording_gets_places_of_its_own_is_investigated_to_the_end(tmp_path, capsys):
+    """Its second recording leaves both names open, and has base and tool fitted with it."""
+    rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
+    rig.write_text(shipped_arms_and_layouts.shipped_arm_rig_toml("ur10"))
+    simulate_with_truth(tmp_path, "sobol:3", 3, "--effect", PLAY)
+    words = ["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--verify", "12"]
+    assert main(words) == 0
+    notebook = (out / "notebook.md").read_text()
+    assert "Nothing is ambiguous any more." in notebook and "alone: backlash at joint 2" in notebook
+    assert (out / "rec3").exists() and "this place is fitted with it" in capsys.readouterr().out
 
 
 @pytest.mark.slow

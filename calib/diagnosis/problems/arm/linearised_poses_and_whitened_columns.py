@@ -222,6 +222,8 @@ def linearise_planned_poses(
     )
     if view is None:
         own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
+        places = arms.freedoms.shape[2] - freedoms.shape[2]  # of base and tool in earlier recordings alone
+        freedoms = np.concatenate([freedoms, np.zeros((len(t), k, places))], axis=2)
     else:
         own, freedoms = view.covariance, np.concatenate([freedoms, view.common], axis=2)
     return Arms(frame, t, q, np.zeros((len(t), k)), freedoms, joints, own, commands, context, arms.sight)
