@@ -271,6 +271,7 @@ def measurement_verdict(result: MeasurementResult) -> Verdict:
         for text in too_large_focal_length_adjustment_sentences(result.recording.design.cameras, m.design.cameras)
     ]
     missing += [MissingEvidence(text) for text in common_image_error_sentences(m)]
+    missing += [MissingEvidence(str(one)) for one in m.readouts if one.certain and one.stated == "global"]
     if isinstance(result.held, NotHeldOut):
         missing.append(MissingEvidence("no frame could be held out to check the uncertainties"))
     elif abs(result.held.ratio - 1) > 2 * result.held.scatter:

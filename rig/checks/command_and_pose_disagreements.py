@@ -309,7 +309,8 @@ def _clocks(moves: CommandsAndPoses) -> Iterator[Candidate]:
     fine = np.linspace(coarse[max(first - 1, 0)], coarse[min(last + 1, len(coarse) - 1)], 401)
     left = np.array([miss(by) for by in fine])
     alike = fine[left <= ALIKE_CLOCKS * left.min()]
-    best, room = float(alike[0] + alike[-1]) / 2, float(alike[-1] - alike[0]) / 2
+    best = float(alike[0] + alike[-1]) / 2
+    room = max(float(alike[-1] - alike[0]), float(fine[1] - fine[0])) / 2
     if abs(best) > LAG:
         quarters = abs(best) / QUARTER
         zone = (

@@ -33,7 +33,7 @@ from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, str
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port, bytes_as_text
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_port
-from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
+from rig.errors import ControllerFault, LinkLost, MotionError, NoAnswer, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts, require_axes
@@ -344,12 +344,21 @@ class Driver:
         except LinkLost as error:
             self._notify(f"{error}; connecting anew")
         self.link.connect(patience)
+        if not stoppable:
+            self._stop_before_all_else()
         same = self.link.run(self._protocol.fence(), stoppable)
         self._notify(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
         if not same:
             self._known = False
             raise PositionLost(f"the connection was lost and the controller has restarted; {TRUST}")
         return self.link.run(question(), stoppable)
+
+    def _stop_before_all_else(self) -> None:
+        """Ask for a stop on a new connection, whatever is asked there next, that is asked for once more."""
+        try:
+            self.link.run(self._protocol.stop(), stoppable=False)
+        except (NoAnswer, ControllerFault) as error:
+            self._notify(f"{error}; the stop is repeated")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

@@ -183,7 +183,7 @@ class Camera:
     name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew
     distortion : (4, 5, 8, 12 or 14,) OpenCV order; pose : T_base_camera, OpenCV axes
     shutter : "global" or "rolling"; row_time : s from one row of the image to the next, of a rolling one; below 0 if
-        the last row is first; None where it is not stated, and found from exposures in motion
+        the last row is first; where it is not stated (None), it is found from exposures in motion
     mount : "fixed", "moving" (a pose in every frame) or "hand": the platform carries it, and pose is T_platform_camera
     source : what a run opens it by, for example "uvc:0" or "file:cam.py", or None; capture : how it is set
     """

@@ -66,10 +66,12 @@ class SymetrieHexapod(LineEmulator):
 
     def greet(self) -> None:
         self._parameters, self._setting, self._code, self._carried_out = np.zeros(20), False, ACCEPTED, -np.inf
+        self._named = True  # a connection begins so
         self._controlled, self._speeds, self._ramp = False, np.array([1.0, 1.0]), 0.1
 
     def answer(self, text: str) -> str | None:
         if text == "echo7":
+            self._named = False
             return ACK
         errors: list[str] = []
         lines: list[str] = []
@@ -122,7 +124,8 @@ class SymetrieHexapod(LineEmulator):
             values = self._parameters[first:]
         if count > len(values):
             raise IndexError(name)
-        return [f"{value:.12g}" for value in values[:count]]
+        names = [f"{name}({k})=" if self._named else "" for k in range(first, first + count)]
+        return [f"{name}{value:.12g}" for name, value in zip(names, values[:count])]
 
     def _pose(self) -> Floats:
         return self.platform.values(self.machine.counters(self.now) + self.machine.zero)

@@ -61,6 +61,7 @@ REASONS = {
     -77: "its kinematics find no solution",
 }
 NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d{1,2})?"
+NAME = r"(?:[^\s=]+=)?"  # before a value, until `echo7` was sent on a connection
 REFUSED = r".*(error \x23\d+.*?)(?: \x06)?"
 
 
@@ -71,7 +72,7 @@ class Symetrie(LineProtocol):
 
     name = "symetrie"
     urgent_stop = STOPS["symetrie"]
-    accepted, refused = f"# {ACK}", REFUSED
+    accepted, refused = f"{NAME}# {ACK}", REFUSED
     home_line, stop_line, unlock_line = "c_cmd=C_HOME", "c_cmd=C_STOP", "c_cmd=C_CLEARERROR"
     longest = 256
 
@@ -150,6 +151,8 @@ class Symetrie(LineProtocol):
         verdict = yield from self._controlled()
         if verdict.accepted:
             verdict = yield from self.command(self.home_line)
+            if verdict.accepted is None and not (yield from self._homing_begun()):
+                return verdict
             verdict = yield from dialogue_awaiting_homed(verdict, self._homing_state, timeout)
         return (yield from self._controlled()) if verdict.accepted else verdict
 
@@ -172,6 +175,15 @@ class Symetrie(LineProtocol):
         """Switch the motors' control on where it is off."""
         bits = int((yield from self._values("s_hexa", 1))[0])
         return Verdict(True) if bits & CONTROL_ON else (yield from self.command("c_cmd=C_CONTROLON"))
+
+    def _homing_begun(self) -> Dialogue[bool]:
+        """Whether it homes, or is not homed, after a command that may be lost: else it was homed before."""
+        for _ in range(int(CARRIED_OUT / POLL)):
+            state = yield from self.state()
+            if state.activity == "homing" or not state.homed:
+                return True
+            yield from pause_dialogue()
+        return False
 
     def _homing_state(self) -> Dialogue[State]:
         """State in which motors that a homing has left without control count as at rest."""
@@ -196,11 +208,11 @@ class Symetrie(LineProtocol):
 
     def _values(self, question: str, count: int) -> Dialogue[Floats]:
         """(count,) numbers of variables. Raises ControllerFault where the controller does not know them, NoAnswer."""
-        wanted = rf"((?:{NUMBER} ){{{count}}})# {ACK}"
+        wanted = rf"((?:{NAME}{NUMBER} ){{{count}}}){NAME}# {ACK}"
         found = yield from super().ask(f"{MARK}=# {question} {MARK}", f"{wanted}|{self.refused}")
         if found[1] is None:
             raise ControllerFault(f"{question}: {found[2]}: is this a hexapod of Symétrie?")
-        return np.array(found[1].split(), float)
+        return np.array([value.rpartition("=")[2] for value in found[1].split()], float)
 
 
 def _parameters(values: Sequence[float] | Floats, first: int = 0) -> str:

@@ -23,7 +23,7 @@ class RollingShutter(Effect):
     places: ClassVar = ("camera", "cameras")
     parameters: ClassVar = (Parameter("row_time", "s", (-1e-3, 1e-3), (5e-6, 3e-5)),)
     experiment: ClassVar = "expose while moving, the platform high and low in the image"
-    action: ClassVar = 'State shutter = "rolling" and row_time in rig.toml, or expose at rest.'
+    action: ClassVar = 'State shutter = "rolling" in rig.toml, with row_time if it is known, or expose at rest.'
     rolls: ClassVar = True
 
     def late(self, camera: Camera, v: Floats) -> Floats:

@@ -44,6 +44,7 @@ def test_a_measurement_whose_noise_is_not_the_stated_one_is_not_good(ratio, stat
         unsolved={},
         design=design,
         adjustment=SimpleNamespace(common_image_errors=()),
+        readouts=(),
     )
     verdict = judged_measurement(MeasurementResult(recording, measurement, SimpleNamespace(ratio=ratio, scatter=0.03)))
     assert verdict.state == state and says in verdict.why
