@@ -44,7 +44,7 @@ from tests.numerical_derivatives import jacobian
 from tests.vision import tumbling_block
 from vision.predict import marker_map
 
-LINEARISATIONS = 250  # of a whole diagnosis in which one effect is hidden, each a Jacobian of all corners
+LINEARISATIONS = 275  # of a whole diagnosis in which one effect is hidden, each a Jacobian of all corners
 
 
 @pytest.fixture(scope="module")
