@@ -327,11 +327,14 @@ def camera_times(
         right += left[:, :-1].T @ left[:, -1]
         squares += float(left[:, -1] @ left[:, -1])
         free += len(left) - 6
+    shown_by = np.diag(normal) > 0  # a camera that sees nothing that moves determines nothing of its own
+    normal, right, width = normal[np.ix_(shown_by, shown_by)], right[shown_by], np.count_nonzero(shown_by)
     if not 0 < width < free or np.linalg.matrix_rank(normal) < width:
         return None
-    found = np.linalg.solve(normal, right)
-    scale = max(squares - float(found @ right), 0.0) / (free - width)
-    sigma = np.sqrt(scale * np.diag(np.linalg.inv(normal)))
+    found, sigma = np.zeros(len(shown_by)), np.full(len(shown_by), np.inf)
+    found[shown_by] = np.linalg.solve(normal, right)
+    scale = max(squares - float(found[shown_by] @ right), 0.0) / (free - width)
+    sigma[shown_by] = np.sqrt(scale * np.diag(np.linalg.inv(normal)))
     readout, readout_sigma = np.zeros(count), np.full(count, np.inf)
     readout[~is_readout_stated], readout_sigma[~is_readout_stated] = found[count - 1 :], sigma[count - 1 :]
     return CameraTimes(np.r_[0.0, found[: count - 1]], np.r_[0.0, sigma[: count - 1]], readout, readout_sigma)

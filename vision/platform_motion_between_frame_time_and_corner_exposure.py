@@ -227,13 +227,13 @@ class ReadoutMotion:
         design, times = self._recording.design, self.times
         if times is None:
             return ()
-        certain = times.certain_readout != 0
+        certain, finite = times.certain_readout != 0, np.isfinite(times.readout_sigma)
         return tuple(
             Readout(
                 camera.name, float(times.readout[i]), float(times.readout_sigma[i]), bool(certain[i]), camera.shutter
             )
             for i, camera in enumerate(design.cameras)
-            if not _is_readout_stated(design)[i] and (certain[i] or camera.shutter == "rolling")
+            if finite[i] and not _is_readout_stated(design)[i] and (certain[i] or camera.shutter == "rolling")
         )
 
     def _of_solved_frames(

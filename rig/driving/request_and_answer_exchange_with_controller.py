@@ -131,6 +131,8 @@ class Link:
     def _exchange(self, exchange: Exchange, stoppable: bool) -> Lines:
         self._read(self.clock.now())  # what came unasked is not the answer
         self._rest = b""
+        if stoppable and self._stop.is_set():  # nothing follows an urgent stop
+            raise Stopped("stopped on request")
         if exchange.data:
             self.sent.append(exchange.data)
             self._write(exchange.data)

@@ -64,6 +64,17 @@ def test_a_readout_time_is_found_reported_and_written(tmp_path):
     )
 
 
+def test_a_camera_that_sees_nothing_that_moves_leaves_the_others_their_readouts(tmp_path):
+    (folder := tmp_path / "moving").mkdir()
+    case, at = write_moving_recording(folder, OFFSET, DELAYS, SPEED, 1, 10, READOUT / HIGH)
+    lines = (folder / "corners.csv").read_text().splitlines(keepends=True)
+    (folder / "corners.csv").write_text("".join(line for line in lines if ",cam2," not in line))
+    found, _ = measured(folder, case, at)
+    readouts = {one.camera: one for one in found.measurement.readouts}
+    assert set(readouts) == {"cam0", "cam1"} and all(one.certain for one in readouts.values())
+    assert all(abs(one.time - READOUT) < 3 * one.sigma for one in readouts.values())
+
+
 @pytest.mark.slow
 def test_a_global_shutter_is_given_no_readout_time(tmp_path):
     for seed in (1, 2):

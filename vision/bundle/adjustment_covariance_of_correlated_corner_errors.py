@@ -256,7 +256,8 @@ def _common_errors(model: Floats, seen: Floats, noise: Floats, cameras: int) -> 
         root = np.linalg.cholesky(noise + np.einsum("c,crs->rs", np.exp(2 * log_sizes), each))
         return float(2 * np.log(np.diag(root)).sum() + (np.linalg.solve(root, seen) ** 2).sum())
 
-    found = minimize(cost, np.full(cameras, np.log(START)), method="L-BFGS-B", bounds=[np.log(SIZES)] * cameras)
+    start = np.where(np.trace(each, axis1=1, axis2=2) > 0, START, SIZES[0])  # of what is not seen nothing is assumed
+    found = minimize(cost, np.log(start), method="L-BFGS-B", bounds=[np.log(SIZES)] * cameras)
     if cost(np.full(cameras, -np.inf)) - found.fun < PROOF:
         return None
     prior = np.repeat(np.exp(2 * found.x), by_camera.shape[2])
