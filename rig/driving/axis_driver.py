@@ -93,8 +93,7 @@ class Driver:
         self.close()
 
     def open(self, stopping: bool = False) -> ControllerStatus:
-        """Connect, and read controller identity and strut positions. Raises LinkLost, NoAnswer,
-        ControllerFault.
+        """Connect, and read controller identity and strut positions. Raises LinkLost, NoAnswer, ControllerFault.
 
         stopping : the struts are stopped before anything is asked: a controller that homes may answer nothing
         """
@@ -344,21 +343,17 @@ class Driver:
         except LinkLost as error:
             self._notify(f"{error}; connecting anew")
         self.link.connect(patience)
-        if not stoppable:
-            self._stop_before_all_else()
+        if not stoppable:  # a stop comes before all else; it is asked for once more below
+            try:
+                self.link.run(self._protocol.stop(), stoppable)
+            except (NoAnswer, ControllerFault) as error:
+                self._notify(f"{error}; the stop is repeated")
         same = self.link.run(self._protocol.fence(), stoppable)
         self._notify(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
         if not same:
             self._known = False
             raise PositionLost(f"the connection was lost and the controller has restarted; {TRUST}")
         return self.link.run(question(), stoppable)
-
-    def _stop_before_all_else(self) -> None:
-        """Ask for a stop on a new connection, whatever is asked there next, that is asked for once more."""
-        try:
-            self.link.run(self._protocol.stop(), stoppable=False)
-        except (NoAnswer, ControllerFault) as error:
-            self._notify(f"{error}; the stop is repeated")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
