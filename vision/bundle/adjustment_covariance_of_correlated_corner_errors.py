@@ -10,8 +10,9 @@ the place, each camera's of the likeliest size (Patterson and Thompson, Biometri
 poses by is part of what all frames share.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
@@ -68,8 +69,8 @@ class _CornerRows:
 class _Corners:
     """n corners of an adjustment, frame by frame and camera by camera.
 
-    rows : _CornerRows; basis : (2n, l) as they have it; shared_rows : of each frame, ((2m, s) whitened derivatives to
-    what frames share, the frame's own unknowns taken out, the slice of its corners)
+    rows : _CornerRows; basis : (2n, l) as they have it; shared_rows : yields of each frame ((2m, s) whitened
+    derivatives to what frames share, the frame's own unknowns taken out, the slice of its corners)
     camera : (n,) index; residual : (2n,) whitened; own : (n,) whether a corner's covariance is that of its own errors
     pixels : (n, 2, K) px of errors along the place in the image; columns : the same whitened
     pull : (s,) of what is stated of the shared unknowns, on their gradient
@@ -77,7 +78,7 @@ class _Corners:
 
     rows: _CornerRows
     basis: Floats
-    shared_rows: list[tuple[Floats, slice]]
+    shared_rows: Callable[[], Iterator[tuple[Floats, slice]]]
     camera: Integers
     residual: Floats
     own: Booleans
@@ -115,7 +116,7 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
     predicted = replace(observations, uv=observations.uv - adjustment.residuals)
     pixels = image_places_and_smooth_error_columns(predicted, cameras, rows.order)[1]
     columns = whiten(pixels)
-    shared_rows = list(_shared_rows_without_own(observations, derivatives, rows, basis, u))
+    shared_rows = partial(_shared_rows_without_own, observations, derivatives, rows, basis, u)
     corners = _Corners(
         rows,
         basis,
@@ -134,7 +135,7 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
     given = (np.swapaxes(rows.root, 1, 2) @ spread @ rows.root)[:, :6, :6] * POSE_SCALE**2
     factor = adjustment.shared_factor / u.scale[:, None]
     scatter = np.diag(u.prior)
-    for rest, at in shared_rows:
+    for rest, at in shared_rows():
         scatter += rest.T @ (np.repeat(white[at], 2)[:, None] * rest)
         for image in np.unique(corners.camera[at]):
             some = corners.camera[at] == image
@@ -195,7 +196,7 @@ def _with_common_image_errors(
     onto, information = np.zeros((shared, count)), np.zeros((count, count))
     of_repeats = np.zeros((count + shared, count + shared))
     scores, repeats, moved = [], np.zeros(count + shared), []
-    for f, (rest, at) in enumerate(corners.shared_rows):
+    for f, (rest, at) in enumerate(corners.shared_rows()):
         rows = slice(2 * at.start, 2 * at.stop)
         B = np.zeros((rest.shape[0] // 2, 2, cameras, width))
         B[np.arange(len(B)), :, corners.camera[at]] = columns[at]
@@ -227,7 +228,8 @@ def _with_common_image_errors(
     if found is None:
         return adjustment
     mean, posterior = found
-    draws = np.linalg.cholesky(np.outer(mean, mean) + posterior)
+    squares, axes = np.linalg.eigh(np.outer(mean, mean) + posterior)
+    draws = axes * np.sqrt(np.maximum(squares, 0.0))  # what is well determined may be negative by rounding
     poses = np.array(moved) + plain.platform_common @ (factor.T @ onto)
     return replace(
         adjustment,
