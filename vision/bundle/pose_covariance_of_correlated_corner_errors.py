@@ -10,7 +10,7 @@ components and applications, 1988), and from there how their terms go together b
 817-838).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,6 @@ HEAVY = 0.1  # by which the mean square of errors must exceed what their middle 
 LEAST = 0.05  # of the squares: errors of neighbouring corners are never quite alike
 FEW = 2.0  # corners' worth of usual errors that every part is taken to have beside its own
 CHANCE = 1e-6  # that the errors in one of all parts are as unlike the others
-BLOCK = 64  # frames whose products of all cameras' columns are held at once; these grow as the square of the cameras
 ROUNDS = 20  # of expectation and maximisation; what images hardly tell stays near the estimate by moments
 PROOF = 5.0  # standard errors by which errors must be seen to be unlike equal and independent ones
 
@@ -54,18 +53,16 @@ class SmoothImageErrors:
     part: Integers
     spare: Floats
 
-    def blocks(self) -> Iterator[tuple[slice, slice, Floats]]:
-        """Yield of each block of f frames (the frames, their images, (f, 2K C, 2K C) what the frames' own poses leave
-        of the columns' products with each other).
-        """
-        width = self.products.shape[1]
-        for begin in range(0, len(self.onto), BLOCK):
-            onto = self.onto[begin : begin + BLOCK]
-            a, b = np.searchsorted(self.frame, [begin, begin + BLOCK]).tolist()
-            left = -np.swapaxes(onto, 1, 2) @ onto
-            of_cameras = left.reshape(len(onto), -1, width, left.shape[2] // width, width)
-            of_cameras[self.frame[a:b] - begin, self.camera[a:b], :, self.camera[a:b]] += self.products[a:b]
-            yield slice(begin, begin + len(onto)), slice(a, b), left
+    def of_images(self) -> Floats:
+        """(I, L, 2K) of each image's columns on its frame's own poses."""
+        by_camera = self.onto.reshape(*self.onto.shape[:2], -1, self.products.shape[1])
+        return by_camera[self.frame, :, self.camera]
+
+    def sum_of_squares(self) -> float:
+        """Sum of the squares of what the frames' own poses leave of the products of all of a frame's columns."""
+        onto, taken = self.of_images(), self.onto @ np.swapaxes(self.onto, 1, 2)
+        crossed = np.vdot(onto @ self.products, onto)
+        return float((self.products**2).sum() - 2 * crossed + (taken**2).sum())
 
 
 def smooth_image_error_model_of_corners(
@@ -162,8 +159,7 @@ def own_and_smooth_corner_error_variances(
         return level * shares, np.zeros((width, width))
     # both from what all squares are, and those along the smooth columns
     left_of_columns = errors.size.sum() - errors.taken.sum()
-    squares = sum(float((block**2).sum()) for _, _, block in errors.blocks())
-    A = np.array([[2 * total, left_of_columns], [white_alone.sum(), squares]])
+    A = np.array([[2 * total, left_of_columns], [white_alone.sum(), errors.sum_of_squares()]])
     white, smooth = np.linalg.solve(A, [2 * square.sum(), seen.sum()])
     along = np.zeros((F, errors.onto.shape[2] // width, width))
     along[errors.frame, errors.camera] = v
@@ -179,22 +175,30 @@ def _smooth_covariance(
 
     along : (F, C, 2K) of the residuals on the columns; share : (F,) of the mean square of each frame's errors
     """
-    _, C, width = along.shape
-    alone = errors.products.sum(axis=0)  # what the frames' own poses leave of each image's own products
-    for k in range(C):
-        onto = errors.onto[:, :, width * k : width * (k + 1)].reshape(-1, width)
-        alone = alone - onto.T @ onto
+    width = along.shape[2]
+    frame, images = errors.frame, len(errors.frame)
+    onto = errors.of_images()
+    alone = errors.products.sum(axis=0) - onto.reshape(-1, width).T @ onto.reshape(-1, width)
     squares = white * errors.spare.sum() * 2 + smooth * np.trace(alone)
     Sigma = smooth * np.eye(width)
+    right, identity = along[frame, errors.camera][..., None], np.eye(onto.shape[1])
+    starts = np.flatnonzero(np.diff(frame, prepend=-1))  # each frame's first image, of frames that have any
+    of_frame = np.repeat(np.arange(len(starts)), np.diff(starts, append=images))
     for _ in range(ROUNDS):
-        whole, both = np.kron(np.eye(C), Sigma), np.zeros((width, width))
-        for frames, images, left in errors.blocks():
-            noise = (white * share[frames])[:, None, None]
-            posterior = np.linalg.solve(np.eye(C * width) + whole @ left / noise, np.broadcast_to(whole, left.shape))
-            f, i = errors.frame[images] - frames.start, errors.camera[images]
-            mean = (posterior @ along[frames].reshape(len(left), -1, 1) / noise).reshape(-1, C, width)[f, i]
-            both += mean.T @ mean + posterior.reshape(-1, C, width, C, width)[f, i, :, i].sum(axis=0)
-        both /= len(errors.frame)
+        noise = (white * share[frame])[:, None, None]
+        # posterior of each image by itself; what its frame's own poses take of all its images comes after, by Woodbury
+        loose = np.eye(width) + Sigma @ errors.products / noise
+        single = np.linalg.solve(loose, np.broadcast_to(Sigma, loose.shape))
+        reach = onto @ single
+        joint = np.add.reduceat(np.concatenate([reach @ np.swapaxes(onto, 1, 2), reach @ right], axis=2), starts)
+        rest = noise[starts] * identity - joint[..., :-1]
+        both_sides = np.concatenate([np.broadcast_to(identity, rest.shape), joint[..., -1:]], axis=2)
+        taken = np.linalg.solve(rest, both_sides)[of_frame]
+        back = np.swapaxes(reach, 1, 2)
+        mean = ((single @ right + back @ taken[..., -1:]) / noise)[..., 0]
+        shared = np.tensordot(reach, taken[..., :-1] @ reach, ((0, 1), (0, 1)))
+        both = mean.T @ mean + single.sum(axis=0) + shared
+        both /= images
         one = np.einsum("aibi->ab", both.reshape(width // 2, 2, width // 2, 2)) / 2  # alike in both directions
         Sigma = np.kron(one, np.eye(2))
         white = max((squares - (alone * Sigma).sum()) / (2 * errors.spare.sum()), LEAST * white)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import vision.bundle.pose_covariance_of_correlated_corner_errors as module
 from tests.bench.false_findings import QuietCorners
 from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     pose_covariance_by_estimated_corner_errors,
@@ -123,6 +124,49 @@ def test_memory_does_not_grow_as_the_square_of_the_cameras():
     finally:
         tracemalloc.stop()
     assert most < frames * (20 * cameras) ** 2 * 8  # bytes of all frames' products of all columns
+
+
+def test_rounds_are_those_of_whole_frames(monkeypatch):
+    """One round of expectation and maximisation is what each frame's whole matrix of all cameras' columns gives,
+    also where some cameras see nothing in some frames."""
+    monkeypatch.setattr(module, "ROUNDS", 1)
+    _, local, _, place, _ = drawn_corners(30, 3, 12)
+    rng = np.random.default_rng(7)
+    frame, camera = np.repeat(np.arange(30), 36), np.tile(np.repeat(np.arange(3), 12), 30)
+    seen = np.flatnonzero((frame % 4 != 1) | (camera != 1))
+    rows = (2 * seen[:, None] + [0, 1]).ravel()
+    edges = np.searchsorted(frame[seen], np.arange(31))
+    errors = smooth_image_error_model_of_corners(
+        SimpleNamespace(frame=frame[seen], camera=camera[seen], uv=(1 + place[seen]) * [WIDTH / 2, HEIGHT / 2]),
+        [SimpleNamespace(width=WIDTH, height=HEIGHT)] * 3,
+        np.arange(len(seen)),
+        edges,
+        lambda columns: columns,
+        np.concatenate([np.linalg.qr(part)[0] for part in np.split(local[rows], 2 * edges[1:-1])]),
+        np.ones(len(seen), bool),
+    )
+    basis = np.concatenate([np.linalg.qr(part)[0] for part in np.split(local[rows], 2 * edges[1:-1])])
+    left, share = rng.normal(size=2 * len(seen)), rng.uniform(0.5, 2, 30)
+    width, white, smooth = errors.columns.shape[1], 1.3, 0.02
+    along, summed, squares = np.zeros((30, 3, width)), np.zeros((width, width)), 0.0
+    for f in range(30):
+        part = slice(2 * edges[f], 2 * edges[f + 1])
+        cameras = np.repeat(camera[seen], 2)[part]
+        whole = np.concatenate([errors.columns[part] * (cameras == c)[:, None] for c in range(3)], axis=1)
+        whole = whole - basis[part] @ (basis[part].T @ whole)
+        noise, prior = white * share[f], smooth * np.eye(3 * width)
+        squares += float(np.sum((whole.T @ whole) ** 2))
+        along[f] = (whole.T @ left[part]).reshape(3, width)
+        gain = prior @ whole.T @ np.linalg.inv(whole @ prior @ whole.T + noise * np.eye(len(whole)))
+        mean, posterior = (gain @ left[part]).reshape(3, width), prior - gain @ whole @ prior
+        for c in np.unique(cameras):
+            own = slice(width * c, width * (c + 1))
+            summed += np.outer(mean[c], mean[c]) + posterior[own, own]
+    summed /= len(errors.frame)
+    alike = (summed[::2, ::2] + summed[1::2, 1::2]) / 2
+    _, Sigma = module._smooth_covariance(errors, along, share, white, smooth)
+    np.testing.assert_allclose(Sigma, np.kron(alike, np.eye(2)), rtol=1e-7, atol=1e-12)
+    assert errors.sum_of_squares() == pytest.approx(squares, rel=1e-9)
 
 
 @pytest.mark.parametrize("number", [7, 9, 26], ids=lambda number: QuietCorners(number, 3000).spoils)

@@ -6,7 +6,7 @@ A parameter that the data pull beyond its bounds stands at its bound, and the ot
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import cast
 
@@ -71,6 +71,20 @@ class Refinement(FieldSummaryRepr):
     values: Floats
     covariance: Floats
     column: Column | None
+    _last_without: list[tuple[int, Sensitivities, "Refinement"]] = field(default_factory=list)
+
+    def without_term(self, number: int, sensitivities: Sensitivities) -> "Refinement":
+        """Refinement without an admitted effect, standing corners at this one's covariance; the last one asked for is
+        made once.
+        """
+        for known, by, refined in self._last_without:
+            if known == number and by is sensitivities:
+                return refined
+        refined = refine_at_fixed_repeated_corner_error(
+            operating_point_without_term(self, number), sensitivities, self.model
+        )
+        self._last_without[:] = [(number, sensitivities, refined)]
+        return refined
 
     @cached_property
     def marginalised(self) -> LinearisedModel:
@@ -250,7 +264,21 @@ def refine_operating_point(
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame,
     loosens them. nearby_model : as `linearise` takes it
     """
-    refined = refine_at_fixed_repeated_corner_error(replace(point, standing=0.0), sensitivities, nearby_model)
+    return _with_repeated_corner_error(
+        refine_at_fixed_repeated_corner_error(replace(point, standing=0.0), sensitivities, nearby_model), sensitivities
+    )
+
+
+def refine_without_term(refinement: Refinement, number: int, sensitivities: Sensitivities) -> Refinement:
+    """Refinement without an admitted effect, refined as `refine_operating_point` does."""
+    if refinement.point.standing:
+        point = operating_point_without_term(refinement, number)
+        return refine_operating_point(point, sensitivities, refinement.model)
+    return _with_repeated_corner_error(refinement.without_term(number, sensitivities), sensitivities)
+
+
+def _with_repeated_corner_error(refined: Refinement, sensitivities: Sensitivities) -> Refinement:
+    """A refinement, and once more where corners that stand miss it together in every frame."""
     left = repeated_corner_error(refined.point)
     if not left:
         return refined

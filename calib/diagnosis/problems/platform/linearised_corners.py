@@ -36,7 +36,7 @@ SEAT_LABELS = tuple(
 )  # of where a cube sits that was put back
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
-NEAR = 3e-3  # px that corners may move for their derivatives to hold: these change by a part in a million
+NEAR = 0.1  # px that corners may move for their derivatives to hold: these change by a part in ten thousand
 PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
 
@@ -85,10 +85,19 @@ class CornerDerivatives:
             point.seen is known.seen
             and point.standing == known.standing
             and point.moving.keys() == known.moving.keys()
-            and _effects_on_what_is_seen(point) == _effects_on_what_is_seen(known)
             and [seat.place for seat in point.seats] == [seat.place for seat in known.seats]
             and bool((np.abs(pixels - self.pixels) < NEAR).all())
+            and self._holds_with_effects_of(point)
         )
+
+    def _holds_with_effects_of(self, point: OperatingPoint) -> bool:
+        own, others = _effects_on_what_is_seen(self.point), _effects_on_what_is_seen(point)
+        if own == others:
+            return True
+        if [(e.name, e.place) for e in own] != [(e.name, e.place) for e in others]:
+            return False
+        moved = self.point.with_effects(point.effects).pixels() - self.pixels
+        return bool((np.abs(moved) < NEAR).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

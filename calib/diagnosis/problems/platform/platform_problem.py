@@ -30,9 +30,8 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     Refinement,
     add_term,
-    operating_point_without_term,
-    refine_at_fixed_repeated_corner_error,
     refine_operating_point,
+    refine_without_term,
     refinement_without_moving,
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
@@ -129,9 +128,7 @@ class PlatformProblem(FieldSummaryRepr):
         and what it does would no longer be linear."""
         k = fit.refined.point
         if fit.terms[number].seen_alone:
-            return refine_at_fixed_repeated_corner_error(
-                operating_point_without_term(fit.refined, number), self.sensitivities, fit.refined.model
-            ).model
+            return fit.refined.without_term(number, self.sensitivities).model
         return linearise(
             k.with_effects(e for i, e in enumerate(k.effects) if i != number), nearby_model=fit.refined.model
         )
@@ -201,10 +198,7 @@ class PlatformProblem(FieldSummaryRepr):
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
         return PlatformFit(
-            refine_operating_point(
-                operating_point_without_term(fit.refined, number), self.sensitivities, fit.refined.model
-            ),
-            fit.terms[:number] + fit.terms[number + 1 :],
+            refine_without_term(fit.refined, number, self.sensitivities), fit.terms[:number] + fit.terms[number + 1 :]
         )
 
     def exchange_term(self, fit: PlatformFit, number: int, score: PlatformScore) -> PlatformFit:
