@@ -201,22 +201,22 @@ def bilinear_value(image, x, y, channel) -> float:
 
 
 @njit(cache=True, nogil=True)
-def draw_marker_pattern(image, places, box, ideal, H, cells, number, out) -> None:
+def draw_marker_pattern(image, places, box, ideal, H, cells, part_number, picture) -> None:
     """Draw a marker's pattern into an image whose pixels show its white paper.
 
     image : (h, w, 3) uint8 pinhole picture: grey with white paper, grey with black paper, number of the marker's part
     places : (k, l, 2) where in it each element of the finer picture looks; box : x0, y0, x1, y1 of the elements about
         the marker
     ideal : (2, y1 - y0 + 2, x1 - x0 + 2) x / z, y / z of the box's elements, widened by one on every side
-    H : (3, 3) ideal coordinates to cells; cells : (n, n) 1 white, 0 black; number : of the part
-    out : (k, l) float32 grey 0..255 of the finer picture, changed in place
+    H : (3, 3) ideal coordinates to cells; cells : (n, n) 1 white, 0 black; part_number : of the marker in image
+    picture : (k, l) float32 grey 0..255 of the finer picture, changed in place
     """
     work = np.empty((4, 12, 2))
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         for x in range(x0, x1):
             px, py = places[y, x, 0], places[y, x, 1]
-            if image[int(py + 0.5), int(px + 0.5), 2] != number:
+            if image[int(py + 0.5), int(px + 0.5), 2] != part_number:
                 continue
             j, i = y - y0 + 1, x - x0 + 1
             a, b = ideal[0, j, i], ideal[1, j, i]
@@ -234,7 +234,7 @@ def draw_marker_pattern(image, places, box, ideal, H, cells, number, out) -> Non
             share = white_share(cells, seen, work)
             if share < 1:
                 black = bilinear_value(image, px, py, 1)
-                out[y, x] = black + share * (out[y, x] - black)
+                picture[y, x] = black + share * (picture[y, x] - black)
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""Readout time of a camera with a rolling shutter, as exposures in motion show it."""
+"""Readout time of a rolling shutter with its uncertainty, as exposures in motion show it, and its stated row time."""
 
 from dataclasses import dataclass
 

@@ -1,6 +1,4 @@
-"""Corner observations of a recording.
-
-Flat arrays, with whitening and merging of repeated corners.
+"""Corner observations of a recording as flat arrays, their whitening, and the merging of repeated corners.
 
 Where a repeated corner is predicted is the same in every frame, so that the sum of squares over its repeats is that of
 their mean,

@@ -1,6 +1,6 @@
-"""Lens model of a camera.
+"""Lens model of a camera, OpenCV's: projection with Jacobian, and undistortion.
 
-It is OpenCV's: projection with Jacobian and undistortion, with their compiled kernels.
+With their compiled kernels.
 
 Points in the camera's frame (OpenCV axes: x right, y down, z
 ahead).

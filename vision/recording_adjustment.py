@@ -1,4 +1,4 @@
-"""Adjustment of a recording.
+"""Adjustment of a recording: of a platform, of a hand that carries cameras, of stages.
 
 Its corners give cameras, and poses of the platform with covariance.
 
@@ -152,9 +152,8 @@ def measure_observations(
     t: Floats | None = None,
     cameras: tuple[Camera, ...] | None = None,
 ) -> Measurement:
-    """Measurement of observations.
+    """Measurement of observations: platform poses with cameras, lenses and, if free, marker places adjusted.
 
-    Platform poses with cameras, lenses and, if free, marker places adjusted.
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
     free : what is adjusted, see `adjust_bundle`; "markers" also where the pose of one that is seen is not stated
     progress : called with (label, done, of), or None

@@ -339,11 +339,12 @@ def unsolved_frames_with_enough_markers(measured: Measurement) -> list[int]:
     return [number for number in enough if number in measured.unsolved]
 
 
-def frames_with_enough_markers(o: Observations, design: Design) -> list[int]:
+def frames_with_enough_markers(observations: Observations, design: Design) -> list[int]:
     """Numbers of frames with enough markers.
 
     They are two or more of all that is needed.
     """
+    o = observations
     enough = np.ones(len(o.frames), bool)
     moving = [i for i, camera in enumerate(design.cameras) if camera.mount == "moving"]
     for mask in (o.on_platform, *(~o.on_platform & (o.camera == i) for i in moving)):

@@ -283,9 +283,7 @@ class CorrectionServer:
 
 
 def answer_request(calibration: Calibration, line: bytes) -> Json:
-    """The answer to a request's line.
-
-    Commands with covariance and refusals, or what is wrong with it.
+    """Answer of the correction server to a request's line: commands with covariance, or what is wrong with it.
 
     A fault of the program is an error in the answer too, and its traceback is printed on the error output.
     """

@@ -104,7 +104,7 @@ class ExportResult:
 
 
 def export(machine: Path, kind: str, options: ExportOptions = ExportOptions()) -> ExportResult:
-    """Export of a calibration.json, a rig.toml or a recording.
+    """ExportResult (texts or bytes of files) of a calibration.json, a rig.toml or a recording.
 
     A recording for tum and parquet; as `rig export` makes it.
 

@@ -1,6 +1,4 @@
-"""Investigation of a rig.
-
-It goes in rounds of experiments.
+"""Investigation of a rig in rounds of experiments, with a certificate at its end.
 
 Plan, record, diagnose, experiment, again and again; at its end a certificate.
 """

@@ -1,7 +1,4 @@
-"""Verification and watch of a calibration.
-
-Verification is by another recording, watch by repeated small visits.
-"""
+"""Verification of a calibration by another recording, and watch of its drift by repeated small visits."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,4 +1,4 @@
-"""Certificate as JSON, and as PDF.
+"""Writers of a certificate that is computed elsewhere: as certificate.json, and as PDF.
 
 The contents of certificate.json, and A4 pages with the sentences, figures and tables of the HTML page.
 """

@@ -146,7 +146,7 @@ def _claim_comparison_text(verification: Verification) -> str:
 
 
 def refutation_sentence(verification: Verification) -> str:
-    """Sentence on the refutation of a claim.
+    """Sentence on the errors that refute a claim, measured and claimed; "" where none does.
 
     As in: 45 um where 3.4 um is claimed.
     """

@@ -1,6 +1,4 @@
-"""Correction of a machine.
-
-Over its configuration space: geometry fit, remainder, and commands for poses.
+"""Correction of a machine over its configuration space: geometry fit, remainder, and commands for poses.
 
 KSF(x) = x - IK(GDK(x)): x commanded, GDK the pose it really gives, IK the inverse kinematics as the owner believes it.
 It is kept as a fitted geometry (its smooth part) and a remainder rho(x) = x - IK_fitted(GDK(x)). To get a wanted pose,

@@ -346,9 +346,8 @@ def correction_with_field(
 
 
 def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) m of commands corrected in a single step.
+    """Errors (RMS, greatest) m of struts corrected in a single step, not taken to the fixed point.
 
-    They are those of struts, not taken to the fixed point.
     The single step is X + KSF(X).
 
     Source: configuration-space patent, [0030], [0091]

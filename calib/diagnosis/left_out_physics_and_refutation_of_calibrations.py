@@ -179,7 +179,7 @@ def refuted_calibrations_of_recording(
 def unexplained_findings_and_refutations(
     recording_marks: Marks, calibration_paths: Iterable[Path], include_later_refutations: bool
 ) -> OfCalibrations:
-    """What calibrations of a recording leave unexplained, and which of them are refuted, by the recording's marks.
+    """Findings that calibrations of a recording leave unexplained, and refutations of them, by the recording's marks.
 
     include_later_refutations : whether what other recordings found against them counts, as for what is learnt from the
         recording itself

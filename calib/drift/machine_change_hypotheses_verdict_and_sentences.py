@@ -194,7 +194,7 @@ def change_verdict(
     evidence: Sequence[Hypothesis],
     first_visit_count: int,
 ) -> Verdict:
-    """Verdict on changes from visits in order.
+    """Verdict on which change of the machine explains its visits, in order.
 
     The first of which may stand for several older ones.
     squares : innovation and count of each visit, the last's included; scale : by which squares exceed what covariances

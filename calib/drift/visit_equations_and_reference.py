@@ -129,10 +129,7 @@ AT_ORIGIN = Platform(
 
 
 def machine_change_names(mechanism: Commanded) -> tuple[str, ...]:
-    """Names of the changes of a machine.
-
-    They are beyond its geometry: play of each axis, growth, sag.
-    """
+    """Names of a machine's changes beyond its geometry: play of each axis, growth, sag."""
     axes, struts = axis_place_texts(mechanism), has_struts(mechanism)
     play = tuple(f"nut of {axis}" if struts else f"play of {axis}" for axis in axes)
     return (*play, "growth of all struts" if struts else "growth of all members", "sag under added load")

@@ -1,4 +1,4 @@
-"""Machine models by kind.
+"""Calibration models of machines, one for each kind of mechanism.
 
 Geometric parameters, covariance of corrected poses, file entries.
 """

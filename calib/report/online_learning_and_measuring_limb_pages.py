@@ -1,7 +1,4 @@
-"""HTML pages of on-line learning and of measuring limbs.
-
-Limbs are compared with vision.
-"""
+"""HTML pages of on-line learning, and of measuring limbs compared with vision."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

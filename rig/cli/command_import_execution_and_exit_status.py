@@ -1,4 +1,4 @@
-"""Execution of a command line: its command is imported and run, and the exit status returned."""
+"""Parser and execution of a command line: its command is imported and run, and the exit status returned."""
 
 import argparse
 import errno
@@ -55,7 +55,7 @@ def command_name_in_manifests(name: str) -> str:
 
 
 def module_of_command(name: str) -> str:
-    """Name of the module in rig.cli of a command."""
+    """Name (not imported) of the module in rig.cli that holds a command."""
     return SHARED_FILES.get(name) or name.replace("-", "_").replace(" ", "_")
 
 

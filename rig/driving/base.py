@@ -1,4 +1,4 @@
-"""Base classes for a file of the user's own: a protocol with its emulator, a camera, or sensors."""
+"""Base classes that a user's own file imports, for a protocol with its emulator, a camera, or sensors."""
 
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import CameraError, Frame, UserCamera
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import LineEmulator

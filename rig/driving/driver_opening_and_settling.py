@@ -99,9 +99,9 @@ def _opener(design: Design, stopped: StoppedController | None, clock: Clock) -> 
 def settled_status(
     driver: Driver, clock: Clock, timeout: float = 60.0, poll_interval: float = 0.05
 ) -> ControllerStatus:
-    """Status once the axes have settled.
+    """ControllerStatus once the axes have settled, which is awaited.
 
-    A move that another process began is awaited.
+    So is a move that another process began.
     Raises RigError where they still move after so long.
     """
     status, end = driver.status(), clock.now() + timeout

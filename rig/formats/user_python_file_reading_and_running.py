@@ -83,7 +83,7 @@ def run_user_text_as_module(text: str, path: Path) -> ModuleType:
 
 
 def run_user_file(path: Path) -> UserModule:
-    """Run a user's Python file, as a UserModule.
+    """UserModule (text, digest and module) of a user's Python file, which is run.
 
     Raises FileError, with the line, where it cannot be read or run.
     """

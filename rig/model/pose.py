@@ -74,9 +74,7 @@ def pose_to_entry(T: RigidTransform) -> dict[str, list[float]]:
 
 
 def pose_difference(T_from: RigidTransform, T_to: RigidTransform) -> Floats:
-    """Pose difference (..., 6).
-
-    Position (m) and rotation vector (rad) of T_from^-1 T_to.
+    """Pose difference (..., 6): position (m) and rotation vector (rad) of T_from^-1 T_to.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
     """

@@ -1,4 +1,4 @@
-"""Plan of a recording.
+"""Plan of a recording, built from its text.
 
 Built from named parts.
 Configurations to visit, their order, how long, what payload.

@@ -161,9 +161,8 @@ def small_motion_jacobian(J_point: Floats, points: Floats) -> Floats:
 
 
 def rotate_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask: Booleans | None = None) -> Floats:
-    """Jacobian (n, 2, 3) rotated.
+    """Jacobian (n, 2, 3) times the rotation matrix of each row, or itself outside the mask.
 
-    J times the rotation matrix of each row, or J itself outside the mask.
     J : (n, 2, 3); R : (m, 3, 3); rotation_index : (n,) into R; mask : (n,) bool, all by default
     """
     out = np.empty(J.shape)

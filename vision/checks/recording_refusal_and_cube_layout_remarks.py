@@ -1,4 +1,4 @@
-"""Recording refusal, and remarks on cube layouts.
+"""Refusal of a recording for severe mistakes, and remarks on unevenly placed cubes.
 
 Refused where mistakes spoil its poses; remarks are on uneven cube layouts of a rig.toml.
 

@@ -78,9 +78,7 @@ def _at(nodes: Floats, x: float, y: float) -> tuple[float, float]:
 
 @kernel
 def fill_local_lens_polynomials(nodes: Floats, centres: Floats, out: Floats) -> None:
-    """Fit local polynomials out (m, 2, TERMS).
-
-    Pixel to ideal coordinates, around centres (m, 3).
+    """Fill `out` (m, 2, TERMS) with local polynomials from pixel to ideal coordinates around centres (m, 3).
 
     Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale.
     nodes : `ideal_coordinate_table`

@@ -195,7 +195,7 @@ def detect_markers(
     T_base_platform: RigidTransform | None = None,
     search_for_others: bool = False,
 ) -> Detection:
-    """All markers of a rig in one image.
+    """Detection of all markers of a rig in one image, with their fitted corners.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
     marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges

@@ -146,9 +146,8 @@ def _at(xi: float, yi: float, g: Floats, top: int) -> tuple[int, int]:
 
 @kernel
 def mark_occluded_cells(pixels: EdgePixels, g: Floats, rows: Floats, counts: Floats, occluded: Floats) -> bool:
-    """Whether cells of a square are occluded.
+    """Mark occluded cells and their neighbours in `occluded` (k, k) bool; returns whether there are any.
 
-    These and their neighbours are marked in occluded (k, k) bool.
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; counts : (2, k, k)
         overwritten
     """

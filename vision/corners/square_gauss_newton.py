@@ -207,18 +207,18 @@ def fill_homography_corners_and_jacobian(g: Floats, n: int, corners: Floats, J: 
 
 
 @kernel
-def gauss_newton_step(square: Square, n: int, scale: float, corners: Floats, work: Work) -> Moved:
+def gauss_newton_step(square: Square, bit_count: int, local_scale: float, corners: Floats, work: Work) -> Moved:
     """Gauss-Newton step of the square's homography and light, in place.
 
-    square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as
-        accumulated
+    square : Square; bit_count : bits each way; local_scale : px, of local coordinates; corners : (4, 2), overwritten
+    work : Work as accumulated
     """
     g, s, light = square.g, square.width, square.light
     H, L, x, J = work.H, work.L, work.x, work.J
     if not cholesky_factor(H, 0, UNKNOWNS, L):
         return Moved(0.0, s, SINGULAR)
     fill_cholesky_solution(L, UNKNOWNS, H[ROWS - 1], x)
-    if not fill_homography_corners_and_jacobian(g, n, corners, J):
+    if not fill_homography_corners_and_jacobian(g, bit_count, corners, J):
         return Moved(0.0, s, WANDERED)
     moved = 0.0
     for c in range(4):
@@ -226,10 +226,10 @@ def gauss_newton_step(square: Square, n: int, scale: float, corners: Floats, wor
         for k in range(8):
             du += J[2 * c, k] * x[k]
             dv += J[2 * c + 1, k] * x[k]
-        moved = max(moved, scale * math.sqrt(du * du + dv * dv))
+        moved = max(moved, local_scale * math.sqrt(du * du + dv * dv))
     if not moved < 1e6:
         return Moved(0.0, s, SINGULAR)
-    short = min(1.0, 0.5 * scale / ((n + 2) * max(moved, 1e-9)))  # never much more than half a cell at once
+    short = min(1.0, 0.5 * local_scale / ((bit_count + 2) * max(moved, 1e-9)))  # at most about half a cell at once
     for k in range(8):
         g[k // 3, k % 3] += short * x[k]
     for k in range(6):

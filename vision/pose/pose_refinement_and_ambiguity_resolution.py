@@ -1,4 +1,4 @@
-"""Pose refinement, and resolution of ambiguous poses.
+"""Refinement of a pose from its corners, and choice between ambiguous poses by neighbouring frames.
 
 Of one pose from its corners; ambiguity is decided by the frames before and after.
 """
@@ -108,9 +108,9 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
 
 
 def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
-    """Pose of frame f from solved neighbours.
+    """Pose (4, 4) of frame f from solved neighbours, and the rad that it may be off.
 
-    Returns (pose (4, 4), rad that it may be off), (None, inf) without any
+    (None, inf) without any
     """
     before, after = _near(solved_poses, f, t)
     ways = [(scatter.adjacent * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]

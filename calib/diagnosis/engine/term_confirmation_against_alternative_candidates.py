@@ -380,10 +380,9 @@ def _at_likelier_node(problem: Problem[Fit, Model, C], fit: Fit, number: int, sc
 def refit_with_other_member_of_law(
     problem: Problem[Fit, Model, C], model: Model, fit: Fit, number: int, excluded: Sequence[C] = ()
 ) -> Fit | None:
-    """Refit with another member of a term's law.
+    """Fit with another member of a term's law in its place, that explains its residuals; None where none does.
 
-    It is in the term's place, and explains its residuals.
-    None where none does. It is the last of the terms. A law is a family, and a machine need not follow its first
+    It is the last of the terms. A law is a family, and a machine need not follow its first
     formula.
     model : without it; excluded : members that are not tried
     """

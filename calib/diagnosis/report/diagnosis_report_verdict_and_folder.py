@@ -1,4 +1,4 @@
-"""Report of a diagnosis, its verdict, and its folder.
+"""Report of a diagnosis, its verdict, and its folder with diagnosis.json (pages are written elsewhere).
 
 The report holds its data, summary, doubts and actions; the folder diagnosis.json, and files to simulate by.
 """
@@ -350,7 +350,7 @@ def copy_recording_files_without_images(folder: Path, recording: Recording) -> N
 
 
 def held_out_entries(diagnosis: Diagnosis) -> Json:
-    """Held-out entries of diagnosis.json {key: tree}."""
+    """Entries of diagnosis.json {key: tree} on held-out errors, and on scatter beyond what is stated."""
     out: Json = {}
     if isinstance(diagnosis.evidence, ScatterSize):
         unit = diagnosis.misfits[diagnosis.shown_in].unit

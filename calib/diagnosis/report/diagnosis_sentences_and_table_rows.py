@@ -101,10 +101,7 @@ def assumed_or_seen_before_suffix(finding: FindingEntry) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """A text as a sentence.
-
-    It has a capital and a full stop.
-    """
+    """A text as a sentence, with a capital and a full stop."""
     return text[0].upper() + text[1:] + "."
 
 

@@ -276,7 +276,7 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
 
 
 def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, float]:
-    """Errors (RMS, greatest) rad or m of correction in a single step.
+    """Errors (RMS, greatest) rad or m of joints corrected in a single step.
 
     X + KSF(X) instead of to the fixed point.
     Source: configuration-space patent, [0030], [0091]

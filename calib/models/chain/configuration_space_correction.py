@@ -131,7 +131,7 @@ def certify_chain_correction_extension(
 
 
 def single_step_chain_correction_errors(correction: AnyCorrection, commanded: Floats) -> tuple[float, float]:
-    """Errors (RMS, greatest) m of a chain's correction in a single step.
+    """Position errors (RMS, greatest) m of a chain's correction in a single step.
 
     They are of position, as its axes have different units, over the places of `chain_workspace_values_and_poses`.
     commanded : (n, axes)

@@ -1,6 +1,5 @@
-"""Poses as hexapods' own controllers take and report them.
+"""Poses that hexapods' own controllers take and report in place of strut lengths.
 
-They are in place of the lengths of struts.
 Such a controller computes strut lengths from a pose by its nominal geometry, that of rig.toml. So lengths that are
 wanted are commanded as the pose of which this geometry makes them, in the controller's frames and about its pivot
 point, and the pose that is read back stands for lengths.

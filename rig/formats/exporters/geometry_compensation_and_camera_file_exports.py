@@ -1,6 +1,5 @@
-"""Geometry, compensation and camera files for other programs.
+"""Geometry, compensation and camera files for other programs: JSON, CSV, LinuxCNC, ROS and OpenCV.
 
-Geometry, compensation and cameras: JSON, CSV, LinuxCNC, ROS and OpenCV.
 
 Source: ROS, camera_calibration_parsers, sensor_msgs/CameraInfo and distortion_models.hpp; OpenCV, FileStorage
 

@@ -1,6 +1,6 @@
-"""Columns of foreign tables.
+"""Columns of foreign tables found by their headers, and missing headers and times added.
 
-Cells as text and numbers, columns found by their headers, headers and times added.
+Cells as text and numbers.
 """
 
 import difflib

@@ -39,9 +39,7 @@ Like = Callable[[Floats], bool]
 def exposures_timed_by_names_table_or_commands(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, are_plausible: Like
 ) -> tuple[ImportedExposures, Recipe]:
-    """Exposures with times from names, a table or commands.
-
-    Of their names, of a table of frames, or of the commands' rows.
+    """Exposures with times from image names, a table of frames or commands, and the Recipe as it was resolved.
 
     The commands' rows are those of the frames one for one.
     are_plausible : whether times (n,) s from the first can be so. Raises RigError where nothing tells the times

@@ -1,4 +1,4 @@
-"""ROS bags unpacked into images and tables.
+"""ROS bags unpacked into image files and tables in a folder.
 
 ROS 1 and 2 bags and MCAP files, topics selected by type.
 

@@ -145,9 +145,8 @@ def load_manifest(folder: Path) -> FolderManifest:
 
 
 def require_complete_folder(folder: Path) -> None:
-    """Raise FileError unless a folder is complete.
+    """Raise FileError where a command was interrupted while writing a folder.
 
-    No command was interrupted while writing it.
     A folder that nobody has marked is taken as it is.
     """
     origin = load_manifest(Path(folder)).origin

@@ -1,4 +1,4 @@
-"""Camera, instrument, experiment and cube entries of rig.toml.
+"""Camera, instrument, experiment and cube turn entries of rig.toml.
 
 Tables [[camera]], [instrument], [experiment] and [turned] (cubes), read; [[camera]] written.
 """

@@ -298,9 +298,8 @@ def strut_ends(T: RigidTransform, arm: Arm) -> None:
 
 
 def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None) -> Floats:
-    """Inverse kinematics.
+    """Inverse kinematics: joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
 
-    Joint values (..., n) rad or m of a pose, within limits if possible, near the guess.
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad or m, the middle of the limits by default
     Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
     """
@@ -315,7 +314,7 @@ def inverse(T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = No
 def solve_arm_inverse_by_damped_least_squares(
     T_base_platform: RigidTransform, arm: Arm, guess: Floats | None = None, starts: int = STARTS, seed: int = 0
 ) -> tuple[Floats, Floats]:
-    """Solve the inverse kinematics of an arm by damped least squares, from a guess, then random starts.
+    """Joint values for poses, and the errors left, by damped least squares from a guess, then random starts.
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
     A solution outside the limits is only given where no start leads to one inside.

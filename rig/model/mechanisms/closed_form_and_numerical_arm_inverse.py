@@ -115,11 +115,7 @@ def closed_form_of_six_joint_arm(arm: Arm) -> SixJointArm:
 
 
 def frame_at_first_axes_crossing(arm: Arm) -> RigidTransform:
-    """Frame T_base_global of an Arm where its first two axes cross.
-
-    At the crossing of its axes 1 and 2.
-    Its z is along axis 1, y along axis 2.
-    """
+    """Frame T_base_global of an Arm at the crossing of its axes 1 and 2, z along axis 1, y along axis 2."""
     chain = mechanism.single_hand_arm_link_frames(np.zeros(len(arm.joints)), arm)
     o, u = chain[:2, :3, 3], chain[:2, :3, 2]
     y = u[1] - (u[1] @ u[0]) * u[0]

@@ -102,7 +102,7 @@ def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float
 def both_first_joint_angles_for_point_level(
     point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
 ) -> tuple[float, float, float, float, float]:
-    """Both angles of the first joint that bring a point to a level along axis 2.
+    """Both angles of joint 1 that bring a point to a level, its offset along axis 2.
 
     With spread and distances.
     """

@@ -45,9 +45,8 @@ def nominal_mechanism_of_kinematics_file(file: str, source: str) -> FileMechanis
 
 
 def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats:
-    """Inverse kinematics.
+    """Inverse kinematics: axis values (..., axes) m or rad of the poses nearest to poses (...) that can be taken.
 
-    Axis values (..., axes) m or rad of poses (...), of the nearest that the platform can take.
     Raises Unreachable with the index of poses for which the file has no values
     """
     poses = poses_with_locked_coordinates_at_home(mechanism.stated, T_base_platform.as_matrix().reshape(-1, 4, 4))
@@ -63,9 +62,8 @@ def inverse(T_base_platform: RigidTransform, mechanism: FileMechanism) -> Floats
 
 
 def forward(values: Floats, mechanism: FileMechanism, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics.
+    """Forward kinematics: T_base_platform (...) of axis values (..., axes), by the file's forward or by Newton.
 
-    T_base_platform (...) of axis values (..., axes), by the file's forward or by Newton.
     guess : RigidTransform () or (...), the home pose by default; unused where the file has a forward
     Raises NotConverged with index, values and residual of those that have no pose near the guess, or beyond a
     singularity; ValueError for a wrong shape or values that are not finite

@@ -30,9 +30,8 @@ CHUNK = 4096  # poses at a time, so that the work stays in the cache
 
 
 def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
-    """Inverse kinematics.
+    """Inverse kinematics: commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
 
-    Commanded strut lengths of a pose, joint centre to joint centre less strut zeros.
     T_base_platform : RigidTransform (...); hexapod : Hexapod
     Returns (..., struts) m; whether they are within the strut range is for `limits` to say
     Source: Merlet, Parallel Robots, 2nd ed., ch. 3
@@ -60,9 +59,9 @@ def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
 
 
 def forward(lengths: Floats, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics.
+    """Forward kinematics: the platform pose of commanded strut lengths, by Newton on SE(3) in batches.
 
-    The platform pose of commanded strut lengths, by Newton on SE(3) in batches. More than six lengths close on no pose
+    More than six lengths close on no pose
     unless they agree: then it is the pose with the least sum of squares of what each strut is off by, which is where
     struts of one stiffness hold the platform in static equilibrium, docs/mathematics.md (7).
     lengths : (..., struts) m, as commanded (the strut zeros are added here)

@@ -57,9 +57,8 @@ def stage_poses(values: Floats, chain: Chain) -> list[RigidTransform]:
 
 
 def forward(values: Floats, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics.
+    """Forward kinematics: T_base_platform (...) of commanded values (..., axes of all).
 
-    T_base_platform (...) of commanded values (..., axes of all).
     guess : unused.
     """
     return stage_poses(values, chain)[-1]
@@ -100,9 +99,7 @@ def _stage_jacobian(values: Floats, T: RigidTransform, stage: Stage) -> Floats:
 
 
 def inverse(T_base_platform: RigidTransform, chain: Chain, guess: Floats | None = None) -> Floats:
-    """Inverse kinematics.
-
-    Commanded values (..., axes of all) of poses, nearest to the middle of all travels.
+    """Inverse kinematics: commanded values (..., axes of all) of poses, nearest to the middle of all travels.
 
     Damped steps, what leaves the pose as it is spent on the way to the middle (Liegeois 1977)
     Raises Unreachable with the index of poses to which none leads

@@ -16,10 +16,7 @@ AXIS, UNIT = "strut", "m"
 
 
 def inverse(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
-    """Inverse kinematics.
-
-    Commanded strut lengths (..., 2) m of a pose (...), from its x and y.
-    """
+    """Inverse kinematics: commanded strut lengths (..., 2) m of a pose (...), from its x and y."""
     position = T_base_platform.translation[..., None, :2]
     return np.linalg.norm(position - planar.base_joints, axis=-1) - planar.strut_zeros
 
@@ -39,9 +36,8 @@ def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> Floats:
 
 
 def forward(lengths: Floats, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
-    """Forward kinematics.
+    """Forward kinematics: hinge position, unrotated RigidTransform (...), of commanded lengths (..., 2) m.
 
-    Hinge position, unrotated RigidTransform (...), of commanded lengths (..., 2) m.
     guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
     Raises NotConverged with index, lengths and residual (m) where the circles do not meet
     """

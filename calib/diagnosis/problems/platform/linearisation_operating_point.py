@@ -354,9 +354,8 @@ def observations_grouped_into_sightings(observations: Observations, markers: Mar
 
 
 def move_operating_point(point: OperatingPoint, cameras: list[Camera], local_tangents: Floats) -> OperatingPoint:
-    """OperatingPoint moved.
+    """OperatingPoint with its cameras replaced, and each frame's poses moved by local tangents.
 
-    Its cameras replaced, and each frame's poses moved by local tangents.
     local_tangents : (F, 6 + 6 per moving camera)
     """
     moving = {

@@ -92,11 +92,7 @@ def _camera_index(k: OperatingPoint, place: Place) -> int:
 
 
 def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
-    """Functions of time (F, 7, 7 count) of a camera's mount and focal length.
-
-    They are cosines for each parameter.
-    Of its mount and focal length: cosines for each parameter.
-    """
+    """Cosines of time (F, 7, 7 count) for each parameter of a camera's mount and focal length."""
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
 
