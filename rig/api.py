@@ -24,7 +24,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 
 if TYPE_CHECKING:
-    from rig.effects.framework.effect import Effect
+    from rig.effects.framework.effect_base_class import Effect
     from rig.effects.sketches import Sketch
     from rig.formats.importers import ImportedRecording, Recipe
 
@@ -128,7 +128,7 @@ def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfi
 
     They are those at whose exposures the axes stand.
 
-    parts : as of rig.planning.plan.build_plan, for example "axes:5,combined:4"
+    parts : as of rig.planning.recording_plan.build_plan, for example "axes:5,combined:4"
     Raises RigError for a part that is not known, and for exposures on the way
 
     >>> import rig
@@ -137,7 +137,7 @@ def plan(design: Design, parts: str = "standard", seed: int = 0) -> PlannedConfi
     3 configurations of sobol:3
     """
     from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
-    from rig.planning.plan import build_plan
+    from rig.planning.recording_plan import build_plan
 
     mechanism = design.mechanism
     goals = np.array([step.goal for step in steps_of_plan(build_plan(design, parts, seed)) for _ in range(step.frames)])

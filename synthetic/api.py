@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,
     effect_with_existing_place,
@@ -26,7 +26,7 @@ from rig.errors import RigError
 from rig.formats.numbers_and_units import quantity_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, Sensor
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording.recording_folder import load_sensors
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 from synthetic import random_true_machine_and_truth_file, recording_simulation
@@ -69,7 +69,8 @@ class ImageOptions:
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """plan : as of rig.planning.plan.build_plan; effects : left-out physics, texts NAME:PLACE:PARAMETER=VALUE,..;
+    """plan : as of rig.planning.recording_plan.build_plan; effects : left-out physics, texts
+    NAME:PLACE:PARAMETER=VALUE,..;
     kinds : effects that there are; noise : px, of corners; seed : of the secret machine, the temperatures and the noise
     secret : size of the geometry's and cameras' errors; machine : truth file with the machine, its cameras and effects,
     in place of drawn ones; sensors : table of temperatures and payload, in place of drawn ones
@@ -176,7 +177,7 @@ def simulate(rig_toml: Path | str, options: SimulateOptions = SimulateOptions())
         import_pyrender_without_viewer()
     rng = np.random.default_rng(options.seed)
     if options.machine is not None:
-        world = random_true_machine_and_truth_file.world_from_truth(options.machine, design, kinds)
+        world = random_true_machine_and_truth_file.load_world_from_truth_file(options.machine, design, kinds)
         world = replace(world, effects=world.effects + effects)
     else:
         world = random_true_machine_and_truth_file.random_true_machine(design, rng, options.secret, effects)

@@ -14,9 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.array_and_json_types import Json
-from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.html_and_svg_elements import (
+    figures_with_caption_html,
+    heading_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, plot_panel_svg
+from rig.report.pages.svg_plots import Series, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from synthetic import blind_diagnosis_score
 
@@ -114,7 +120,7 @@ def write_campaign_page(path: Path, settings: Json, cases: list[Case]) -> None:
     ]
     if any(c.hidden for c in cases):
         parts.append(
-            captioned_html(
+            figures_with_caption_html(
                 _strengths(cases),
                 "Each dot is a hidden effect: its outcome (a row each, in the order of the legend) against its "
                 "signal-to-noise over all corners (no unit, as a power of ten). Good: strong effects, to the right, "

@@ -91,7 +91,7 @@ class Sheet(NamedTuple):
     placed: tuple[Placed, ...]
 
 
-def net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Piece, ...]:
+def cube_net_pieces(groups: Sequence[Sequence[str]], flaps: bool = True) -> tuple[Piece, ...]:
     """Pieces of a net cut into groups of faces, with flaps to glue where faces are apart."""
     of = {face: k for k, group in enumerate(groups) for face in group}
     folds: list[list[tuple[str, str]]] = [[] for _ in groups]
@@ -125,7 +125,7 @@ def arrange_cube_net_on_sheets(
     for flap in (min(TAB * edge, WIDEST), 0.0):
         size = Size(edge, flap)
         for groups in PARTITIONS if flap else PARTITIONS[-1:]:
-            sheets = _packed(net_pieces(groups, flap > 0), size, (upright_area, sideways_area))
+            sheets = _packed(cube_net_pieces(groups, flap > 0), size, (upright_area, sideways_area))
             if sheets is not None and (best is None or len(sheets) < len(best[1])):
                 best = size, sheets
         if best is not None:
@@ -213,7 +213,7 @@ MARGIN, LEFT, FOOT = (
 RULER = 100  # mm, of each ruler
 
 
-def usable_area(paper: tuple[float, float]) -> tuple[float, float]:
+def printable_paper_area(paper: tuple[float, float]) -> tuple[float, float]:
     """Usable area (width, height) mm of a sheet of paper (width, height) mm."""
     return paper[0] - LEFT - MARGIN, paper[1] - FOOT - 2 * MARGIN
 

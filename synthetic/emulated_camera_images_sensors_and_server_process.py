@@ -18,11 +18,11 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.cameras.camera_opening_with_folder_and_emulator_sources import USUAL
-from rig.driving.clock import Clock, SystemClock
+from rig.driving.driving_clock import Clock, SystemClock
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import transform_points
 from rig.planning.timed_plan_and_visiting_order import Plan
@@ -288,7 +288,7 @@ def _serve_emulated_cameras(
     try:
         stated = design_from_rig_toml.load_design(design)
         secret = (
-            random_true_machine_and_truth_file.world_from_truth(Path(truth), stated)
+            random_true_machine_and_truth_file.load_world_from_truth_file(Path(truth), stated)
             if truth
             else random_true_machine_and_truth_file.World(stated, stated)
         )

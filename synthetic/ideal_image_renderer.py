@@ -31,7 +31,7 @@ from rig.model.design import Camera, Design
 from rig.model.pose import exp
 from synthetic.marker_drawing_sensor_and_occlusion import bilinear_value, draw_marker_pattern
 from synthetic.rig_meshes import BLACK, WHITE, Ink, Part, mesh_body_matrices, part_brightness
-from vision import lens
+from vision import opencv_lens_model as lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
 SAMPLES = 2  # per pixel along either axis, before the pixel's mean

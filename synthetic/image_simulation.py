@@ -19,11 +19,11 @@ from rig.array_and_json_types import Floats, Json
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import process_map, worker_count
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Camera, Sensor
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording import recording_folder
@@ -32,7 +32,7 @@ from synthetic import random_true_machine_and_truth_file, rig_meshes
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender_without_viewer
 from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from synthetic.recording_simulation import Simulation, carried_camera_poses, poses_of_each_stage_and_platform
-from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 BLEND = (
     0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
@@ -294,7 +294,7 @@ def simulations_with_and_without_effects_found(folder: Path, kinds: Kinds = BY_N
     found = recording_folder.load_recording(folder)
     if found.commands is None:
         raise RigError(f"{folder}: there are no commands, so no motion can be simulated")
-    secret = random_true_machine_and_truth_file.world_from_truth(path, found.design, kinds)
+    secret = random_true_machine_and_truth_file.load_world_from_truth_file(path, found.design, kinds)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
     plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)

@@ -25,7 +25,7 @@ from synthetic.rig_meshes import (
     ROD_RADIUS,
     SHARE,
     STRUT_RADIUS,
-    base_platform_and_stage_matrices,
+    base_and_stage_body_matrices,
     plate_radius,
     stages_standing_on_struts,
     strut_ends,
@@ -105,7 +105,7 @@ def is_occluded(design: Design, stages: list[RigidTransform], frame: Integers, e
     blocked = np.zeros(len(points), bool)
     length = np.linalg.norm(points - eye, axis=1, keepdims=True)
     ends = points - (points - eye) / length * OWN_DEPTH
-    poses = base_platform_and_stage_matrices(stages)
+    poses = base_and_stage_body_matrices(stages)
 
     def within(body: str) -> tuple[Floats, Floats]:
         """(eyes, ends) (k, 3) m in the frame of a body."""

@@ -15,17 +15,18 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import MOTION_STAGES, Effect
-from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, log_uniform
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
+from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, draw_log_uniform
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.design import Design, Instrument
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
-from rig.planning.plan import build_plan, plan_of_configurations
+from rig.planning.recording_plan import build_plan, plan_of_configurations
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.recording_folder import Commands, Sensors
 from synthetic import random_true_machine_and_truth_file
@@ -108,7 +109,7 @@ def draw_arm_case(
 def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, index: int) -> DrawnArmCase:
     make = str(rng.choice(list(_arm_makes())))
     hard = _hardships(make, rng) if index % HARD == 0 else ()
-    sigma = log_uniform(rng, *SIGMA) * np.array([1.0, rng.uniform(*TURN)])
+    sigma = draw_log_uniform(rng, *SIGMA) * np.array([1.0, rng.uniform(*TURN)])
     stated = sigma / (UNDERSTATED if "understated" in hard else 1.0)
     turn = "" if "positions" in hard else f"rotation_sigma = {stated[1]:.3g}\n"
     text = f'{_arm_makes()[make]}\n[instrument]\nbase = "free"\ntool = "free"\nposition_sigma = {stated[0]:.3g}\n{turn}'

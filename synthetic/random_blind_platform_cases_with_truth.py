@@ -13,26 +13,27 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, Markers, markers_with_replaced_columns
 from rig.errors import RigError
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design, Sensor
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Sensors
 from synthetic import random_true_machine_and_truth_file, unlisted_effects_and_corner_noise
 from synthetic import recording_simulation as simulation
 from synthetic.image_simulation import Images, is_renderable
-from vision import lens
-from vision.predict import marker_map
+from vision import opencv_lens_model as lens
+from vision.marker_corner_prediction import marker_map
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import RigError
 from rig.formats import machine_geometry_and_effects_json_file
@@ -24,7 +24,6 @@ from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.file_mechanism import with_random_parameters
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     has_links,
@@ -32,6 +31,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     has_struts,
     is_parallel,
 )
+from rig.model.mechanisms.user_kinematics_file_mechanism import with_random_parameters
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Sensors
 
@@ -188,7 +188,7 @@ def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **mor
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
-def world_from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
+def load_world_from_truth_file(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
     """World read from a truth file.
 
     The same machine and cameras.

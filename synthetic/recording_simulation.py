@@ -16,23 +16,23 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats
 from rig.formats.output_files import write_text
 from rig.formats.rig_toml.mechanism_entries import write_kinematics_file
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilt_sensors import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
 from rig.model.mechanisms import redundant_strut_best_six_legs_and_loop_closures
-from rig.model.mechanisms.arm import single_hand_arm_link_frames
+from rig.model.mechanisms.arm_kinematics_limits_and_loads import single_hand_arm_link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant, require_axes
 from rig.model.pose import exp, pose_to_vector, transform_points
-from rig.planning.plan import sensors_with_payload
+from rig.planning.recording_plan import sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.corner_and_pose_csv_tables import DISTANCE, POSE_COLUMNS, Corners, write_corners, write_table
 from rig.recording.recording_folder import LIMB, Sensors, sensors_with_gravity
 from synthetic import random_true_machine_and_truth_file as worlds
 from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
 from synthetic.random_true_machine_and_truth_file import world_with_remounted_cubes
-from vision.predict import (
+from vision.marker_corner_prediction import (
     MarkerMap,
     Sightings,
     State,

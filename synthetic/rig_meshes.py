@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats
 from rig.model.design import FACES, Design, Target, face_pose
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, Struts, has_struts
-from vision.predict import MarkerMap, marker_cells, marker_map
+from vision.marker_corner_prediction import MarkerMap, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
 STRUT_RADIUS, ROD_RADIUS = 0.055, 0.03  # of the base's radius
@@ -129,7 +129,7 @@ def stages_standing_on_struts(mechanism: Mechanism) -> list[StrutStage]:
     ]
 
 
-def base_platform_and_stage_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
+def base_and_stage_body_matrices(stage_poses: list[RigidTransform]) -> dict[str, Floats]:
     """Matrices {body: (..., 4, 4)} to the base of base, platform and stages, from the stages' poses."""
     *below, platform = (T.as_matrix() for T in stage_poses)
     return {
@@ -141,7 +141,7 @@ def base_platform_and_stage_matrices(stage_poses: list[RigidTransform]) -> dict[
 
 def mesh_body_matrices(mechanism: Mechanism, stage_poses: list[RigidTransform]) -> dict[str, Floats]:
     """Matrices {body: (4, 4)} to the base of all bodies that have meshes, at one pose, struts included."""
-    poses = {"world": np.eye(4), **base_platform_and_stage_matrices(stage_poses)}
+    poses = {"world": np.eye(4), **base_and_stage_body_matrices(stage_poses)}
     for stands in stages_standing_on_struts(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
         ends = strut_ends(stands.stage, T_below.inv() * stage_poses[stands.number])

@@ -148,7 +148,8 @@ def driven_design(design):
 
 def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
-    from rig.planning import configuration_generators, plan
+    from rig.planning import configuration_generators
+    from rig.planning import recording_plan as plan
     from synthetic import random_true_machine_and_truth_file, recording_simulation
 
     rng = np.random.default_rng(seed)
@@ -177,7 +178,7 @@ def limbed(tmp_path_factory):
     """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the
     folder holds a second recording of the same machine, "again", another day."""
     from rig.formats.rig_toml import design_from_rig_toml
-    from rig.planning import plan
+    from rig.planning import recording_plan as plan
     from rig.planning.layout import hexapod_layout_and_camera_placement
     from rig.recording import recording_folder
     from synthetic import random_true_machine_and_truth_file, recording_simulation

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rig.cli import command_line
 from rig.errors import FileError
-from rig.formats.output_files import require_complete_folder
+from rig.formats.output_files import require_folder_of_uninterrupted_command
 from tests.conftest import ROOT
 
 RECORD = "simulate rig.toml --plan sobol:24 --out {} --seed {}"
@@ -235,7 +235,7 @@ def _marked(work: Path) -> set[str]:
     for folder in work.iterdir():
         if folder.is_dir():
             try:
-                require_complete_folder(folder)
+                require_folder_of_uninterrupted_command(folder)
             except FileError:
                 out.add(folder.name)
     return out

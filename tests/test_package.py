@@ -137,8 +137,10 @@ def test_only_what_is_drawn_on_paper_needs_matplotlib():
         for path in (ROOT / package).rglob("*.py")
         if re.search(r"^\s*(from|import) matplotlib", path.read_text(encoding="utf-8"), re.MULTILINE)
     }
-    assert found == {f"synthetic/{name}.py" for name in ("print_sheets", "cube_nets_stl_rulers_and_assembly_page")} | {
-        "calib/certificate/certificate_json_and_pdf.py",
+    assert found == {
+        f"synthetic/{name}.py" for name in ("printable_target_sheets", "cube_nets_stl_rulers_and_assembly_page")
+    } | {
+        "calib/certificate/certificate_json_and_pdf_writers.py",
         "rig/posture/arm_force_transmission_and_exertable_wrench.py",
     }
 

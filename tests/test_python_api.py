@@ -13,8 +13,8 @@ import calib
 import rig
 import synthetic
 import vision
-from rig.cli.command_import_execution_and_exit_status import module_of_command
 from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS, SHARED_FILES
+from rig.cli.command_parser_execution_and_exit_status import command_module_name
 from rig.errors import RigError
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording.corner_and_pose_csv_tables import write_poses
@@ -52,7 +52,7 @@ CALLS = {
     "effects document": "rig.api:effect_catalogue",
     "doctor kernels": "calib.online.run_options_cameras_sensors_and_observer:compile_kernels_for_run",
     "doctor completion": "rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion:completion_script",
-    "print": "synthetic.print_sheets:write_sheets",
+    "print": "synthetic.printable_target_sheets:write_sheets",
     "print check": "vision.printed_marker_size_from_photograph:measure_printed_marker_scale",
     **dict.fromkeys(("new design", "new"), "rig.planning.layout.shipped_arms_and_layouts:new_rig_toml"),
     "import": "rig.api:import_recording",
@@ -275,7 +275,7 @@ def test_options_are_typed_and_frozen():
 
 def functions(command):
     """(its function that runs, [that and those of its file that it calls, directly or not], the tree of its file)"""
-    whole = source_trees.tree(CLI / f"{module_of_command(command)}.py")
+    whole = source_trees.tree(CLI / f"{command_module_name(command)}.py")
     known = {node.name: node for node in whole.body if isinstance(node, ast.FunctionDef)}
     run = known[f"run_{command.split()[-1]}" if command in SHARED_FILES else "run"]
     used, left = [], [run]
@@ -322,7 +322,7 @@ def test_a_command_imports_nothing_that_computes(command):
         if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
-    homes = {call_of(other)[0] for other in COMMANDS if module_of_command(other) == module_of_command(command)}
+    homes = {call_of(other)[0] for other in COMMANDS if command_module_name(other) == command_module_name(command)}
     computing = [
         f"{node.module}: {name.name}"
         for node in ast.walk(whole)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.models.arm import error_model_and_observations as model
-from calib.models.arm.error_model_and_observations import Observations
+from calib.models.arm import arm_error_model_and_instrument_observations as model
+from calib.models.arm.arm_error_model_and_instrument_observations import Observations
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.pose import exp
 

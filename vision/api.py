@@ -15,7 +15,7 @@ from rig.formats.local_and_remote_input_files import read_text
 from rig.formats.numbers_and_units import count_text
 from rig.formats.output_files import write_text
 from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table_of_columns, pandas_table_of_poses
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
     rig_toml_with_camera_values_replaced,
     rig_toml_with_target_markers_replaced,
 )
@@ -46,7 +46,7 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
 from vision.bundle.marker_and_target_displacements import Places, adjusted_markers, compare_stated_and_adjusted_places
-from vision.checks.recording_refusal_and_cube_layout_remarks import (
+from vision.checks.recording_refusal_and_uneven_cube_remarks import (
     Notice,
     ignore_notice,
     make_corner_check_raising_on_severe_mistakes,
@@ -56,10 +56,15 @@ from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
     Clocks,
     clock_offset_and_drive_lag_by_recording,
 )
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 from vision.reading.corner_reading_from_recording_images import Collected, image_reader
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import Suspect, find_suspicious_markers
-from vision.recording_adjustment import Measurement, has_hand_cameras, invert_measured_poses, recording_seen_from_hand
+from vision.recording_adjustment_with_hand_and_stages import (
+    Measurement,
+    has_hand_cameras,
+    measurement_with_inverted_poses,
+    recording_seen_from_hand,
+)
 from vision.recording_measurement import PLACES, measure_recording, recording_with_unstated_markers_placed
 
 SEEN = 0.1  # of the noise of corners, from which errors that come back in every frame are stated
@@ -194,7 +199,7 @@ class MeasurementResult(OneLineRepr):
         }
 
 
-def camera_time_lines(measured: Measurement) -> list[str]:
+def camera_time_offset_and_readout_lines(measured: Measurement) -> list[str]:
     """A line for each camera that was found to expose at other moments than its times say, or whose readout time is not
     stated.
     """
@@ -363,12 +368,12 @@ def measure(
     )
     seen, as_seen = recording_seen_from_hand(recording), measured
     if has_hand_cameras(recording.design):
-        as_seen, determination = invert_measured_poses(measured), determination.from_the_hand()
+        as_seen, determination = measurement_with_inverted_poses(measured), determination.from_the_hand()
     read = image_reader(seen) if any(recording.exposures.image) else None
     wrong = find_suspicious_markers(as_seen, marker_map(seen.design), collected.repeated if collected else (), read)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     clocks = clock_offset_and_drive_lag_by_recording(
         recording, measured.frames, measured.T_base_platform, own, measured.common
     )
-    statement = [*map(str, clocks), *camera_time_lines(measured), *determination.lines()]
+    statement = [*map(str, clocks), *camera_time_offset_and_readout_lines(measured), *determination.lines()]
     return MeasurementResult(recording, measured, held, collected, moved, statement, wrong, determination, clocks)

@@ -38,8 +38,8 @@ from rig.recording.recording_folder import Commands, Recording
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     corner_jacobians_to_poses_and_lens_by_camera,
 )
-from vision.corner_observations import Observations
-from vision.predict import State, predict_corners
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import State, predict_corners
 
 ABOUT = 0.02  # s; commands that stay the same for so long before and after an exposure are of a platform at rest
 FEWEST = 12  # exposures in motion from which clocks are compared

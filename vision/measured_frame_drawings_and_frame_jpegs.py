@@ -17,9 +17,9 @@ from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
 from rig.recording.exposures_and_image_files import Exposures, read_image
 from rig.recording.recording_folder import Recording
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.corners.marker_detection_and_corner_fit import grey_images_for_reader_and_fit
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 from vision.recording_measurement import measure_recording
 
 WIDTH = 960  # px, of images on a page at most

@@ -16,11 +16,10 @@ import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Design
-from rig.model.motion_simulation import simulate_machine_run
+from rig.model.machine_motion_simulation import simulate_machine_run
 from rig.model.pose import exp
 from rig.recording.exposures_and_image_files import SIMULTANEOUS
 from rig.recording.recording_folder import Recording
-from vision.camera_readout_time import Readout, known_row_time
 from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
     CameraTimes,
     Clocks,
@@ -29,9 +28,10 @@ from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
     clock_offset_and_drive_lag_by_recording,
     recording_with_clock_offset_and_lag_applied,
 )
-from vision.corner_observations import Observations
-from vision.predict import predict_corners
-from vision.recording_adjustment import Measurement
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import predict_corners
+from vision.recording_adjustment_with_hand_and_stages import Measurement
+from vision.rolling_shutter_readout_time import Readout, rolling_shutter_row_time
 
 AFTER = 1e-3  # s by which exposures are moved for a derivative
 ROUNDS = 3  # of finding by how much cameras' times differ
@@ -56,7 +56,7 @@ class Rates:
     apart: float = APART
 
 
-def commanded_rates(recording: Recording, clocks: Sequence[Clocks] = ()) -> Rates | None:
+def commanded_platform_rates(recording: Recording, clocks: Sequence[Clocks] = ()) -> Rates | None:
     """Rates of the platform by a recording's commands.
 
     None where nothing is commanded or moves, or one camera exposes all rows at the frame's time.
@@ -73,7 +73,7 @@ def commanded_rates(recording: Recording, clocks: Sequence[Clocks] = ()) -> Rate
     if not moving.any():
         return None
     apart = max([one.offset_sigma for one in clocks], default=APART)
-    row_time = np.array([known_row_time(camera) for camera in design.cameras])
+    row_time = np.array([rolling_shutter_row_time(camera) for camera in design.cameras])
     unknown = ~_is_readout_stated(design) & _has_late_rows(design)
     row_time_sigma = np.where(unknown, READOUT, 0.0) / _heights(design)
     rates = Rates(np.zeros((len(t), 6)), np.zeros((len(t), 6)), delays, row_time, row_time_sigma, apart)
@@ -186,7 +186,7 @@ class ReadoutMotion:
         self._clocks = clock_offset_and_drive_lag_by_recording(
             self._recording, found.frames, found.T_base_platform, own, found.common
         )
-        known = commanded_rates(self._recording, self._clocks) if self._clocks else None
+        known = commanded_platform_rates(self._recording, self._clocks) if self._clocks else None
         if known is not None:
             self.rates = replace(self.rates, rate=known.rate, curvature=known.curvature, apart=known.apart)
 

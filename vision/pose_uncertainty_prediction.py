@@ -19,8 +19,8 @@ from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import
     schur_complement,
     whitened_residuals_and_derivatives,
 )
-from vision.corner_observations import Observations, whitener_of_observations
-from vision.predict import (
+from vision.corner_observations_and_merging import Observations, whitener_of_observations
+from vision.marker_corner_prediction import (
     SQUARE,
     Sightings,
     State,
@@ -28,7 +28,7 @@ from vision.predict import (
     predict_sightings,
     sightings_of_markers_facing_cameras,
 )
-from vision.recording_adjustment import Measurement, has_hand_cameras
+from vision.recording_adjustment_with_hand_and_stages import Measurement, has_hand_cameras
 
 LEAST = 2  # sightings of markers; one alone leaves two poses alike
 

@@ -16,7 +16,7 @@ from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
 from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
 from vision.corners.marker_detection_and_corner_fit import detect_markers
-from vision.predict import MarkerMap, marker_map
+from vision.marker_corner_prediction import MarkerMap, marker_map
 
 CORNERS = np.array(
     [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]

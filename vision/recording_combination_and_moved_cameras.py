@@ -30,7 +30,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 from vision.recording_measurement import measure_recording
 
 # probability, over all cameras together, with which cameras that stand still are taken for moved: which costs little
@@ -108,7 +108,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
-    require_combinable(recordings)
+    require_combinable_recordings(recordings)
     owners = first_recording_by_camera(recordings)
     moved = [
         Elsewhere(k, name, np.nan, np.nan)
@@ -137,7 +137,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
     )
 
 
-def require_combinable(recordings: Sequence[Recording]) -> None:
+def require_combinable_recordings(recordings: Sequence[Recording]) -> None:
     """Raise RigError unless recordings can be combined.
 
     They are of one rig, with no data of one in another.

@@ -16,7 +16,8 @@ from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
-from vision import platform_motion_between_frame_time_and_corner_exposure, recording_adjustment
+from vision import platform_motion_between_frame_time_and_corner_exposure
+from vision import recording_adjustment_with_hand_and_stages as recording_adjustment
 from vision.bundle.bundle_adjustment import NoOptimum
 from vision.bundle.marker_and_target_displacements import (
     HALVED,
@@ -24,11 +25,11 @@ from vision.bundle.marker_and_target_displacements import (
     are_stated_places_doubtful,
     marker_and_target_displacements,
 )
-from vision.corner_observations import Observations, observations_from_corners, observations_of_frames
-from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
+from vision.corner_observations_and_merging import Observations, observations_from_corners, observations_of_frames
+from vision.lenses.lens_calibration_from_board_views import alternative_initial_lenses, are_lenses_plausible
+from vision.marker_corner_prediction import MarkerMap, marker_map
 from vision.platform_motion_between_frame_time_and_corner_exposure import Rates, ReadoutMotion
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
-from vision.predict import MarkerMap, marker_map
 from vision.reading.corner_reading_from_recording_images import (
     Collected,
     image_reader,
@@ -42,13 +43,13 @@ from vision.reading.live_measurement_and_corner_refit import (
     refit_corners,
 )
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import LOOKED_AT, no_marker_reason
-from vision.recording_adjustment import (
+from vision.recording_adjustment_with_hand_and_stages import (
     Measurement,
     has_hand_cameras,
-    invert_measured_poses,
     is_on_remounted_cube,
     measure_observations,
     measure_without_remounted_cubes,
+    measurement_with_inverted_poses,
     recording_seen_from_hand,
 )
 
@@ -82,10 +83,12 @@ def measure_recording(
     options = (free, read_images, progress, places, check_corners)
     if not has_hand_cameras(recording.design):
         return _measured(
-            recording, *options, platform_motion_between_frame_time_and_corner_exposure.commanded_rates(recording)
+            recording,
+            *options,
+            platform_motion_between_frame_time_and_corner_exposure.commanded_platform_rates(recording),
         )
     measured, collected = _measured(recording_seen_from_hand(recording), *options, None)
-    return invert_measured_poses(measured), collected
+    return measurement_with_inverted_poses(measured), collected
 
 
 def recording_with_unstated_markers_placed(
@@ -246,12 +249,12 @@ def measure_with_stated_or_free_markers(
         require_no_free_marker_places_on_stages(places)
         return recording_adjustment.separate_stage_measurements(
             measure_observations(
-                recording_adjustment.give_each_stage_separate_frames(observed, markers),
+                recording_adjustment.observations_with_separate_stage_frames(observed, markers),
                 design,
                 markers,
                 free,
                 progress,
-                recording_adjustment.frame_times_shifted_apart_for_each_stage(t, markers),
+                recording_adjustment.stage_frame_times_shifted_apart(t, markers),
             ),
             markers,
         )

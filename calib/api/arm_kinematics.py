@@ -11,14 +11,14 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.api.nominal_and_calibrated_platform_kinematics import PlatformKinematics
 from calib.files import calibration_file
-from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.arm_correction import ArmCorrection
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import KinematicsStep
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm
 from rig.model.mechanisms.forward_solution_steps import forward_solution_steps

@@ -44,15 +44,15 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 )
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
+from calib.models.arm import arm_certification as arm_certification
 from calib.models.arm import calibration_page_and_c_source as arm_page
-from calib.models.arm import certification as arm_certification
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
     arm_workspace_claim,
     commanded_minus_joint_values_by_stated_arm,
 )
-from calib.models.arm.pointing_terms import PointingTerms, pointing_terms
-from calib.models.chain import certification_and_page as chain_certification
-from calib.models.chain.configuration_space_correction import chain_correction_summands
+from calib.models.arm.mount_pointing_terms import PointingTerms, pointing_terms
+from calib.models.chain import chain_certification_and_page as chain_certification
+from calib.models.chain.chain_correction_over_configuration_space import chain_correction_summands
 from calib.models.machine_models import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
@@ -62,7 +62,7 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import (
     recording_and_poses_on_commands_clock,
 )
 from rig.array_and_json_types import Floats, Json
-from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
+from rig.effects.catalogue.effect_list import Plugin, effect_catalogue_with_user_files
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
@@ -77,7 +77,7 @@ from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
 from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import Clocks
 
 
@@ -247,7 +247,7 @@ def calibrate(
     if prepared.joined and options.limbs is not None:
         raise RigError("--limbs reads the poses of one recording from measuring limbs; name one")
     options.refuse_unsuited(recording.design)
-    kinds = catalogue_with_files(options.effects)
+    kinds = effect_catalogue_with_user_files(options.effects)
     findings = None if options.diagnosis is None else load_findings(options.diagnosis, recording, kinds)
     with threadpool_limits(1):  # sums of products are rounded by how many threads share them
         if options.limbs is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certificate import (
-    certificate_json_and_pdf,
+    certificate_json_and_pdf_writers,
     certificate_page,
     certificate_sentences_and_quantity_texts,
     digital_certificate_xml,
@@ -105,7 +105,7 @@ class CertificationResult(OneLineRepr):
         made = self.certificate
         if isinstance(made, PointingCertificate):
             return made.tree()
-        return certificate_json_and_pdf.certificate_dict(made)
+        return certificate_json_and_pdf_writers.certificate_dict(made)
 
     def write(self, path: Path, links: Sequence[Link] = (), issuer: Issuer = UNSTATED) -> None:
         """Write the certificate, in the form that the path's suffix names, one of KINDS.
@@ -118,11 +118,11 @@ class CertificationResult(OneLineRepr):
         elif path.suffix == ".html":
             certificate_page.write_certificate_page(path, made, links)
         elif path.suffix == ".pdf":
-            certificate_json_and_pdf.write_certificate_pdf(path, made)
+            certificate_json_and_pdf_writers.write_certificate_pdf(path, made)
         elif path.suffix == ".xml":
             write_text(path, digital_certificate_xml.digital_certificate_xml(made, issuer))
         else:
-            write_text(path, certificate_json_and_pdf.certificate_text(made))
+            write_text(path, certificate_json_and_pdf_writers.certificate_text(made))
 
 
 def certify(

@@ -10,22 +10,22 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import require_commands_in_axis_ranges
+from calib.correction.machine_correction import require_commands_in_axis_ranges
 from calib.correction.physical_effects_of_calibration_and_their_compensation import require_sensor_coverage
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import HOLDING
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import tool_parameter_slice
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_error_model_and_instrument_observations import tool_parameter_slice
 from calib.models.machine_models import corrected_pose_covariance
 from calib.models.wanted_pose_commands import (
     RouteCommands,
     commands_along_route,
-    pace_that_holds_poses_at_times,
+    pace_with_hold_times,
     pose_commands_for_controller_with_own_kinematics,
 )
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.driving.protocols.poses_of_hexapod_controllers import AXES as HEXAPOD_AXES
-from rig.driving.protocols.poses_of_hexapod_controllers import PoseFrames as PoseFrames
-from rig.driving.protocols.poses_of_hexapod_controllers import xyz_mm_uvw_degrees_of_poses
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import AXES as HEXAPOD_AXES
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import PoseFrames as PoseFrames
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import xyz_mm_uvw_degrees_of_poses
 from rig.errors import RigError, Unreachable
 from rig.formats.csv_and_parquet_tables_and_time_origin import PLAIN, TableFormat
 from rig.formats.output_files import write_text
@@ -288,7 +288,7 @@ def _commanded(
 ) -> RouteCommands:
     """RouteCommands for the wanted poses to keep. Raises Unreachable for those that cannot be."""
     T, correction = wanted.poses.T_base_platform[keep], calibration.correction
-    pace = None if wanted.t is None else pace_that_holds_poses_at_times(calibration, wanted.t[keep], options.sensors)
+    pace = None if wanted.t is None else pace_with_hold_times(calibration, wanted.t[keep], options.sensors)
     plain = None
     if options.uncorrected:
         plain = correction.uncorrected(T)

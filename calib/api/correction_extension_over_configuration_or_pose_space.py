@@ -18,7 +18,9 @@ from calib.certification.configuration_space_correction_certification import (
     claim_without_geometry,
 )
 from calib.certification.platform_certification import Certified, Progress, platform_workspace_claim
-from calib.correction.correction_field_methods_fitting_combination_and_json import single_step_command_errors
+from calib.correction.correction_field_methods_fitting_combination_and_json import (
+    rms_and_greatest_strut_single_step_error,
+)
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import SpacePart
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import NAMES
 from calib.files.mechanism_and_physics_entries import mechanism_dict
@@ -31,12 +33,12 @@ from calib.models.additional_correction_pass import (
     samples_in_frames_of_calibration,
 )
 from calib.models.arm import joint_space_correction_and_workspace_claim as arm_extension
-from calib.models.arm.certification import CertifiedArm as ArmCertified
+from calib.models.arm.arm_certification import CertifiedArm as ArmCertified
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
-from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_claim
-from calib.models.chain.configuration_space_correction import (
+from calib.models.chain.chain_certification_and_page import CertifiedChain, chain_workspace_claim
+from calib.models.chain.chain_correction_over_configuration_space import (
     certify_chain_correction_extension,
-    single_step_chain_correction_errors,
+    rms_and_greatest_chain_single_step_error,
 )
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats, Json
@@ -153,13 +155,13 @@ def _claim_and_misses(
     """(Claim, (RMS, greatest) of the single step, unit of these). fitted : whether a geometry was fitted with it"""
     if isinstance(done, ArmCertified):
         arm_claim = arm_workspace_claim if fitted else arm_extension.claim_without_geometry
-        misses = arm_extension.single_step_correction_errors(done.correction)
+        misses = arm_extension.rms_and_greatest_joint_single_step_error(done.correction)
         return arm_claim(samples, done, rng), misses, mechanisms.travel_unit(done.correction.nominal)
     if isinstance(done, CertifiedChain):
-        misses = single_step_chain_correction_errors(done.correction, samples.commanded)
+        misses = rms_and_greatest_chain_single_step_error(done.correction, samples.commanded)
         return chain_workspace_claim(samples, done, rng), misses, "m"
     claim = platform_workspace_claim if fitted else claim_without_geometry
-    return claim(samples, done, rng), single_step_command_errors(done.correction), "m"
+    return claim(samples, done, rng), rms_and_greatest_strut_single_step_error(done.correction), "m"
 
 
 def _certify_pass(

@@ -25,13 +25,13 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.api.correct import CorrectionResult, CorrectOptions, correct, rms_and_greatest_uncertainty
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import require_commands_in_axis_ranges
+from calib.correction.machine_correction import require_commands_in_axis_ranges
 from calib.files.mechanism_and_physics_entries import mechanism_dict
 from calib.models.additional_correction_pass import mechanism_placed_as_calibrated
-from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.array_and_json_types import Floats, Json
-from rig.driving.axis_display_units_and_controller_counts import values_text
+from rig.driving.axis_display_units_and_controller_counts import axis_values_text
 from rig.driving.axis_driver import Driver
 from rig.driving.controller_status_and_limits import ControllerStatus
 from rig.errors import RigError, Unreachable
@@ -97,7 +97,7 @@ class PoseMove:
         return float(np.hypot(sizes[0], 2 * own[0])), float(np.hypot(sizes[1], 2 * own[1]))
 
     def __str__(self) -> str:
-        shown = values_text(self.lengths, self.design.mechanism)
+        shown = axis_values_text(self.lengths, self.design.mechanism)
         return f"{'to command' if self.status is None else 'commanded'}: {shown}"
 
     def tree(self) -> Json:
@@ -265,7 +265,7 @@ class CorrectionServer:
                     reply: Json = {"id": None, "error": f"a line has at most {LONGEST} bytes; this one is longer"}
                 else:
                     with self._one:
-                        reply = answer_request(self._calibration, line)
+                        reply = correction_server_answer(self._calibration, line)
                 client.sendall(_line(reply))
 
     def close(self) -> None:
@@ -282,7 +282,7 @@ class CorrectionServer:
                 client.shutdown(socket.SHUT_RDWR)
 
 
-def answer_request(calibration: Calibration, line: bytes) -> Json:
+def correction_server_answer(calibration: Calibration, line: bytes) -> Json:
     """Answer of the correction server to a request's line: commands with covariance, or what is wrong with it.
 
     A fault of the program is an error in the answer too, and its traceback is printed on the error output.

@@ -22,7 +22,7 @@ from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import (
 from calib.diagnosis.recording_diagnosis import Diagnosis, DiagnosisOptions
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
 from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import (
     Report,
     diagnosis_report,
     diagnosis_verdict,
@@ -30,7 +30,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
 )
 from calib.files import calibration_file
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
-from rig.effects.catalogue.effect_list import Plugin, catalogue_with_files
+from rig.effects.catalogue.effect_list import Plugin, effect_catalogue_with_user_files
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,
     parse_effect_and_place,
@@ -44,7 +44,7 @@ from rig.recording.frame_selection_and_content_hashes import content_hashes_of_f
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, State, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice, recorded_or_sampled_corners
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice, recorded_or_sampled_corners
 
 AN_HOUR = ExperimentOptions()
 FINDING_COLUMNS = ("effect", "place", "parameter", "value", "low_95", "high_95", "unit")
@@ -159,7 +159,7 @@ def diagnose(
     corners = recording.corners if prepared.joined else recorded_or_sampled_corners(recording)
     if corners is not None:
         prepared.look(corners)
-    kinds = catalogue_with_files(options.effects)
+    kinds = effect_catalogue_with_user_files(options.effects)
     for text in (*(options.only or ()), *options.without):
         require_known_effect(text, recording.design, kinds)
     _refuse_same_data(options, recording)

@@ -24,23 +24,23 @@ from calib.online.run_options_cameras_sensors_and_observer import (
 )
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check
-from rig.driving.axis_display_units_and_controller_counts import axes_word, name_of_thousandth_of_axis_units
+from rig.driving.axis_display_units_and_controller_counts import axes_word, axis_milliunit_name
 from rig.driving.axis_driver import Driver
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import SynchronisedCameras
-from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_status_and_limits import TRUST, ControllerStatus, require_goals_within_limits
-from rig.driving.driver_opening_and_settling import Settling, open_driver, parse_settling, settled_status
+from rig.driving.driver_opening_and_settling import Settling, await_settled_status, open_driver, parse_settling
+from rig.driving.driving_clock import Clock, SystemClock
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.move_and_record_loop import RunOperator
 from rig.driving.run_journal import Began, CameraExposures, Journal
 from rig.driving.run_steps_from_plan_and_progress_from_journal import (
     Progress,
     Step,
-    lost_position_reason,
+    position_loss_reason,
     progress_from_journal,
     require_all_steps_permitted,
-    steps_exposed_during_motion,
     steps_of_plan,
+    steps_with_exposures_in_motion,
 )
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import ControllerFault, PositionLost, RigError, Unreachable
@@ -50,8 +50,8 @@ from rig.formats.rig_toml.design_from_rig_toml import load_entries
 from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
-from rig.planning.plan import build_plan
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from rig.planning.recording_plan import build_plan
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]
@@ -149,7 +149,7 @@ class PlannedRun:
             )
             for line in self.controller_warnings(driver):
                 notice(f"warning: {line}")
-            homes, status = self._home(driver, settled_status(driver, clock), before, notice)
+            homes, status = self._home(driver, await_settled_status(driver, clock), before, notice)
             require_all_steps_permitted(self.steps, status.lengths, make_function_refusing_unsafe_moves(self.design))
             bench = open_sensors_and_assemble_equipment(
                 self.design,
@@ -194,8 +194,8 @@ class PlannedRun:
         lost = (
             ""
             if before is None
-            else lost_position_reason(
-                before, status.lengths, c.tolerance, driver.started_anew, c.homing, name_of_thousandth_of_axis_units(m)
+            else position_loss_reason(
+                before, status.lengths, c.tolerance, driver.started_anew, c.homing, axis_milliunit_name(m)
             )
         )
         if trust or (before is None and not c.homing and status.known):
@@ -257,7 +257,7 @@ def plan_run(design: Design, path: Path, plan: str, options: RunOptions = STANDA
     options.accepted_limbs(design)
     options.refuse_unsuited(design)
     if options.in_motion is not None:
-        steps = steps_exposed_during_motion(steps, options.in_motion, design.driver().max_speed)
+        steps = steps_with_exposures_in_motion(steps, options.in_motion, design.driver().max_speed)
     return PlannedRun(design, path, plan, steps, settling, options)
 
 

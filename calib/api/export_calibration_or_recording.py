@@ -19,11 +19,11 @@ from calib.correction.hexapod_kinematics_c_source_for_linuxcnc_and_grblhal impor
     linuxcnc_kinematics_source,
 )
 from calib.files import calibration_file
+from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
-from calib.models.arm.correction import ArmCorrection
 from rig.errors import RigError
 from rig.formats.exporters import (
-    geometry_compensation_and_camera_file_exports,
+    json_csv_linuxcnc_and_camera_file_exports,
     recording_as_rerun_tum_parquet,
     urdf_and_sdf_export_of_arms_and_hexapods,
 )
@@ -161,7 +161,7 @@ def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
             f"{kind} takes a mechanism of kind {' or '.join(kinds)}; {path} has one of kind {mechanism.kind!r}"
         )
     text = {
-        "genhexkins": lambda: geometry_compensation_and_camera_file_exports.genhexkins_settings(
+        "genhexkins": lambda: json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(
             require_hexapod(mechanism), options.units, lead, options.coupling
         ),
         "urdf": lambda: (
@@ -174,10 +174,10 @@ def _geometry(path: Path, kind: str, options: ExportOptions) -> ExportResult:
         "sdf": lambda: urdf_and_sdf_export_of_arms_and_hexapods.hexapod_sdf(
             require_hexapod_or_redundant_hexapod(mechanism), path.stem
         ),
-        "json": lambda: geometry_compensation_and_camera_file_exports.geometry_json(
+        "json": lambda: json_csv_linuxcnc_and_camera_file_exports.geometry_json(
             mechanism if isinstance(mechanism, FileMechanism) else _exported(mechanism)
         ),
-        "csv": lambda: geometry_compensation_and_camera_file_exports.geometry_csv(
+        "csv": lambda: json_csv_linuxcnc_and_camera_file_exports.geometry_csv(
             mechanism if isinstance(mechanism, FileMechanism) else _exported(mechanism)
         ),
     }[kind]()
@@ -215,18 +215,18 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
             "writes the correction, --format json the parameters"
         )
     parts = options.parts if options.parts is not None else 3 if kind == "grid" else 64
-    most = 9 if kind == "grid" else geometry_compensation_and_camera_file_exports.MOST - 1
+    most = 9 if kind == "grid" else json_csv_linuxcnc_and_camera_file_exports.MOST - 1
     if not 1 <= parts <= most:
         raise RigError(f"--intervals is 1 to {most} for {kind}, not {parts}")
     if kind == "grid":
-        text = geometry_compensation_and_camera_file_exports.correction_grid_csv(
+        text = json_csv_linuxcnc_and_camera_file_exports.correction_grid_csv(
             *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
         )
         rows = (parts + 1) ** len(mechanism.axes)
         return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the nominal model has it")
     found = axis_correction_tables(correction, parts + 1)
     files = {
-        f"joint_{i}.comp": geometry_compensation_and_camera_file_exports.linuxcnc_compensation_file(
+        f"joint_{i}.comp": json_csv_linuxcnc_and_camera_file_exports.linuxcnc_compensation_file(
             levels + correction.fitted.strut_zeros[i], trims, options.units
         )
         for i, (levels, trims) in enumerate(zip(found.levels, found.trims))
@@ -244,9 +244,9 @@ def _cameras(path: Path, kind: str) -> ExportResult:
     if not found:
         raise RigError(f"{path} has no cameras")
     written = (
-        geometry_compensation_and_camera_file_exports.ros_camera_info
+        json_csv_linuxcnc_and_camera_file_exports.ros_camera_info
         if kind == "camera-info"
-        else geometry_compensation_and_camera_file_exports.opencv_camera_yaml
+        else json_csv_linuxcnc_and_camera_file_exports.opencv_camera_yaml
     )
     return ExportResult({f"{camera.name}.yaml": written(camera) for camera in found})
 

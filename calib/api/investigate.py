@@ -25,7 +25,7 @@ from calib.experiment.investigation_folder_and_report import (
 )
 from calib.experiment.investigation_plan_execution import Command, InvestigatedRig, InvestigateOptions, Waiting
 from calib.files import calibration_file
-from calib.models.arm import error_model_and_observations
+from calib.models.arm import arm_error_model_and_instrument_observations
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats import json_toml_and_yaml_loading
@@ -37,7 +37,7 @@ from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
-from rig.planning.plan import axis_strokes, build_plan
+from rig.planning.recording_plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_visiting_order import write_plan_table
 from rig.recording.corner_and_pose_csv_tables import Poses, write_poses
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
@@ -111,7 +111,7 @@ def _wanted(path: Path, rig: InvestigatedRig, calibration: Path) -> None:
     m = rig.design.mechanism
     lengths = sobol_configurations(axis_strokes(rig.design), rig.options.verify, REACH, rig.options.seed + VERIFYING)
     if m.kind == "arm":
-        T = error_model_and_observations.predicted_target_poses(
+        T = arm_error_model_and_instrument_observations.predicted_target_poses(
             lengths, require_arm(calibration_file.load(calibration).correction.fitted)
         )
     else:

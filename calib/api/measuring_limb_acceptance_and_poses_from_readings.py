@@ -26,7 +26,10 @@ from calib.online.measuring_limb_poses_checked_by_vision import (
     LimbSource,
     checked_limb_poses_and_accepted_limbs,
 )
-from calib.report.online_learning_and_measuring_limb_pages import measuring_limbs_verdict, write_measuring_limbs_page
+from calib.report.online_learning_and_limb_vision_agreement_pages import (
+    measuring_limbs_verdict,
+    write_measuring_limbs_page,
+)
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import RigError
@@ -43,7 +46,7 @@ from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pi
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
 
 FIGURES = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
 
@@ -195,7 +198,7 @@ def accept_limbs(
             f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: "
             "it slipped"
         )
-        accepted = accepted_measuring_limbs_file.withdraw_acceptance(
+        accepted = accepted_measuring_limbs_file.limbs_with_acceptance_withdrawn(
             accepted, str(recording.folder), slipped.frame, reason
         )
     error, check_sigma = loop_closure_checks_of_redundant_measuring_limbs.held_out_redundant_limb_errors_and_sigma(

@@ -26,7 +26,7 @@ from rig.errors import RigError
 from rig.model.design import PERMITTED, TURN, Design, Permission, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission, turning_instructions
 from rig.planning import timed_plan_and_visiting_order
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, result_html
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.errors import NotConverged, RigError, Unreachable
 from rig.model import mechanisms

@@ -14,15 +14,15 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import OfC
 from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import unexplained_findings_and_refutations
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import save_learner
 from calib.online.hexapod_information_filter import Online
-from calib.online.learning_from_recording import (
+from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
+from calib.online.parameter_learning_by_filter_or_learner import (
     FILTER,
     Learning,
     learn_by_filter,
     learn_by_simple_learner,
     resume_or_start_learner,
 )
-from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
-from calib.report.online_learning_and_measuring_limb_pages import OnlineResult, online_verdict, write_online_page
+from calib.report.online_learning_and_limb_vision_agreement_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_recordings
 from rig.array_and_json_types import Json
@@ -41,7 +41,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refutation, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
 
 OTHERS = "drifting"  # the learner of other machines than hexapods, where none is named
 

@@ -23,14 +23,14 @@ from calib.api.plan_options_and_result import (
     plan_geometry_and_exclusion_of_lost_poses,
 )
 from calib.certification.platform_certification import Progress, silent_progress
-from calib.correction.correction import indices_and_poses_of_solvable_commands
+from calib.correction.machine_correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import (
     Separation,
     separation_of_two_effects_by_plan,
 )
-from calib.models.arm.error_model_and_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
-from calib.models.arm.error_model_and_observations import parameter_jacobian, parameter_names
-from calib.models.arm.pointing_terms import pointing_term_jacobian_and_names
+from calib.models.arm.arm_error_model_and_instrument_observations import PLAUSIBLE as PLAUSIBLE_ERRORS
+from calib.models.arm.arm_error_model_and_instrument_observations import parameter_jacobian, parameter_names
+from calib.models.arm.mount_pointing_terms import pointing_term_jacobian_and_names
 from calib.models.arm.tilt_observations import planned_tilt_jacobian
 from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
@@ -46,7 +46,7 @@ from calib.models.platform.optimal_calibration_poses import (
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import effect_with_existing_place, parse_effect
 from rig.errors import RigError
 from rig.model import mechanisms
@@ -63,7 +63,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod,
 )
 from rig.planning.configuration_generators import evenly_spread_configurations
-from rig.planning.plan import axis_strokes, build_plan, nearest_compatible_commands, sensors_with_payload
+from rig.planning.recording_plan import axis_strokes, build_plan, nearest_compatible_commands, sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan, balanced_approach_lengths, time_balanced_order
 from rig.recording.recording_folder import Sensors
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.api.plan_options_and_result import SEED, PlanOptions, PlanResult, plan_geometry_and_exclusion_of_lost_poses
 from calib.certification.platform_certification import Progress
-from calib.correction.correction import indices_and_poses_of_solvable_commands
+from calib.correction.machine_correction import indices_and_poses_of_solvable_commands
 from calib.models.fewest_configurations_for_accuracy import fewest_configurations_for_accuracy
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
@@ -16,7 +16,7 @@ from rig.formats.numbers_and_units import quantity_text
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, is_hexapod, require_axes, require_hexapod
-from vision.predict import marker_map, visible_marker_counts_over_all_cameras
+from vision.marker_corner_prediction import marker_map, visible_marker_counts_over_all_cameras
 
 FEWEST = 2  # markers of what moves that a configuration must show
 

@@ -22,8 +22,8 @@ from threadpoolctl import threadpool_limits
 from calib.drift.visit_equations_and_reference import base_motion_columns
 from calib.models.base_and_tool_displacement_between_recordings import has_base_and_tool_placements, placement_lines
 from calib.models.geometry_and_placement_fit_of_several_recordings import remove_base_and_tool_displacement
-from calib.models.platform.closed_loop_equations import loop_covariance
-from calib.models.platform.identification import PRIOR
+from calib.models.platform.platform_identification import PRIOR
+from calib.models.platform.strut_loop_closure_equations import loop_covariance
 from calib.report.recording_and_plan_pages import write_recording_page
 from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
@@ -53,7 +53,7 @@ from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording, RecordingPart
 from rig.report.pages.page_templates_and_index_page import Link
 from vision.checks import find_corner_mistakes
-from vision.checks.recording_refusal_and_cube_layout_remarks import (
+from vision.checks.recording_refusal_and_uneven_cube_remarks import (
     Notice,
     make_corner_check_raising_on_severe_mistakes,
     recorded_or_sampled_corners,
@@ -61,7 +61,7 @@ from vision.checks.recording_refusal_and_cube_layout_remarks import (
     require_no_severe_mistakes_in_files_and_images,
     unevenly_placed_cubes_remarks,
 )
-from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable
+from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable_recordings
 
 ROUNDS = 4  # of linearising anew
 ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
@@ -230,7 +230,7 @@ def check_and_combine_recordings(
             alone = replace(recording, parts=(RecordingPart(recording, 0, 0.0),))
             recording, _ = remove_instrument_displacement(recording_in_machine_frames(alone), True)
         return PreparedRecording(recording, look, False)
-    require_combinable(every)
+    require_combinable_recordings(every)
     for recording in every:
         look = refuse_unfit_recording_and_make_corner_check(recording, ignore_mistakes, notice)
         corners = recorded_or_sampled_corners(recording)
@@ -285,7 +285,7 @@ def refuse_unfit_recording_and_make_corner_check(
 
 def find_mistakes_between_poses_and_commands(recording: Recording) -> tuple[Mistake, ...]:
     """Mistakes that poses.csv and commands.csv show of each other."""
-    from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes, find_mistakes_of_several_hands
+    from calib.models.arm.arm_command_and_pose_mistakes import find_arm_mistakes, find_mistakes_of_several_hands
 
     if recording.poses is None or recording.commands is None:
         return ()

@@ -12,7 +12,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     verify_claim_on_samples,
 )
 from calib.certification.claim_verification import Verification
-from calib.certification.held_out_errors import (
+from calib.certification.held_out_pose_error_statistics import (
     Figures,
     compare_errors,
     error_statistics,
@@ -268,8 +268,8 @@ def watch(
     """Watch over a calibration by visits (small recordings, in order).
 
     Whether it holds and what changed.
-    history : of the visits before, `History(calibration_digest(path))` where there are none; refutations : what later
-    recordings found against the calibration
+    history : of the visits before, `History(calibration_file_sha256(path))` where there are none; refutations : what
+    later recordings found against the calibration
     Raises ValueError without visits, and what measuring raises
     """
     if not visits:

@@ -20,12 +20,12 @@ from calib.api.options_and_imported_data_of_why import (
     require_existing_data_path,
 )
 from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
-from calib.certification.held_out_errors import Figures, HeldOut
+from calib.certification.held_out_pose_error_statistics import Figures, HeldOut
 from calib.certification.platform_certification import Progress, silent_progress
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import finding_size_text, finding_title
 from calib.files.calibration_file import save
-from calib.models.arm.certification import CertifiedArm
+from calib.models.arm.arm_certification import CertifiedArm
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
@@ -34,7 +34,7 @@ from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import WORST, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line

@@ -31,7 +31,7 @@ from rig.model import mechanisms
 from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice, ignore_notice
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -21,7 +21,7 @@ from calib.certificate.certificate_content_dataclasses import (
 )
 from calib.certification import noise_free_errors_and_tolerance_limits, pose_error_promise_and_conformity
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.held_out_errors import error_statistics, errors_before_and_after_correction
+from calib.certification.held_out_pose_error_statistics import error_statistics, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     HeldPoses,
     held_out_poses,

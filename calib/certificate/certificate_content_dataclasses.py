@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import AgainstClaim
-from calib.certification.held_out_errors import Figures
+from calib.certification.held_out_pose_error_statistics import Figures
 from calib.certification.held_out_pose_errors_and_distinct_configurations import REST, HeldPoses, Repeatability
 from calib.certification.iso230_and_iso9283_tests import AxisTest, Iso9283
 from calib.certification.pose_error_promise_and_conformity import Cell, Conformity, Promise

@@ -15,8 +15,8 @@ from calib.certification.iso230_and_iso9283_tests import FEWEST
 from calib.report.platform_and_lens_calibration_pages import rows_of_nested_dict
 from rig.array_and_json_types import Floats
 from rig.report.pages.html_and_svg_elements import (
-    captioned_html,
     collapsible_section_html,
+    figures_with_caption_html,
     heading_html,
     note_html,
     paragraph_html,
@@ -184,7 +184,7 @@ def _promise(c: Certificate) -> list[str]:
         "Share of the held-out poses whose measured position error (µm) is no larger; dashed: the promise. Good: the "
         "curve reaches 100 % left of the dashed lines. Bad: it crosses one, or has a long tail."
     )
-    return [captioned_html(_error_distribution_figure(c), caption), *map(paragraph_html, lines)]
+    return [figures_with_caption_html(_error_distribution_figure(c), caption), *map(paragraph_html, lines)]
 
 
 def _against(c: Certificate) -> list[str]:
@@ -215,7 +215,7 @@ def _cells(c: Certificate) -> list[str]:
     ]
     return [
         heading_html("By part of the volume"),
-        captioned_html(
+        figures_with_caption_html(
             _cell_bound_figures(c),
             "The same promise, position in um, for boxes of the volume, each from its own poses, with the stated "
             "confidence for each. Good: alike everywhere. Bad: a dark box; there the machine is worse.",
@@ -335,7 +335,7 @@ def _budget(c: Certificate) -> list[str]:
     ]
     return [
         heading_html("Uncertainty contributions (U, coverage 95 %)"),
-        captioned_html(
+        figures_with_caption_html(
             _budget_figure(c),
             (
                 "Contributions to the uncertainty of a position (um), coverage 95 %. Good: no bar exceeds the others "

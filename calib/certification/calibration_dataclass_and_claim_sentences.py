@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from calib.certification.claim_verification import Verification
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.held_out_errors import HeldOut
+from calib.certification.held_out_pose_error_statistics import HeldOut
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
-from calib.correction.correction import AnyCorrection
+from calib.correction.machine_correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from calib.samples.confounded_conditions_and_poses_on_one_clock import (
@@ -179,8 +179,8 @@ def _size(value: float, name: str) -> str:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Calibration(OneLineRepr):
     """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an
-    arm (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.error_model_and_observations; scatter : (6,) m of each
-    strut beyond the
+    arm (12 + 5 n, 12 + 5 n) in the order of calib.models.arm.arm_error_model_and_instrument_observations; scatter :
+    (6,) m of each strut beyond the
     poses' noise, of an arm (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that
     did not agree
     held_out : HeldOut, or None where too few configurations were recorded to hold any out

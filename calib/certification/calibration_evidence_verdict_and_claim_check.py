@@ -18,7 +18,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import (
 )
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.held_out_errors import HeldOut, pose_errors, predicted_poses
+from calib.certification.held_out_pose_error_statistics import HeldOut, pose_errors, predicted_poses
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
     configuration_numbers,

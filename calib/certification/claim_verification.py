@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.held_out_errors import pose_errors
+from calib.certification.held_out_pose_error_statistics import pose_errors
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.pose import adjoint, exp

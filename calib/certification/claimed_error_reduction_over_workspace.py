@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_errors import HeldErrors
+from calib.certification.held_out_pose_error_statistics import HeldErrors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
-from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.machine_correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
-from calib.models.platform.identification import (
+from calib.models.platform.platform_identification import (
     PRIOR,
     Identified,
     inverse_strut_length_jacobian,
@@ -30,8 +30,8 @@ from calib.models.platform.identification import (
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model import mechanisms
-from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, geometric_parameters, has_struts, is_redundant
+from rig.model.mechanisms.user_kinematics_file_mechanism import SCALE
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import FILL, evenly_spread_configurations
 

@@ -17,7 +17,7 @@ from calib.certification.claimed_error_reduction_over_workspace import (
     mean_square_pose_errors_stated_by_extension,
     workspace_commands_and_corrected_poses,
 )
-from calib.certification.held_out_errors import (
+from calib.certification.held_out_pose_error_statistics import (
     HeldOut,
     compare_errors,
     draw_mean_square_common_pose_errors,
@@ -44,11 +44,10 @@ from calib.certification.platform_certification import (
     uncertified_geometry,
 )
 from calib.correction import correction_field_methods_fitting_combination_and_json
-from calib.correction.correction import AnyCorrection, solvable_commands_and_poses
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
-    correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,
+    identified_geometry_correction_with_field,
     residual_correction_summands_at_samples,
 )
 from calib.correction.interpolation.gaussian_process import RadialMap
@@ -58,7 +57,8 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
     WeightedField,
 )
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Grid, grid_lattice_of_configurations
-from calib.models.platform.identification import (
+from calib.correction.machine_correction import AnyCorrection, solvable_commands_and_poses
+from calib.models.platform.platform_identification import (
     Identified,
     identify_platform,
     inverse_strut_length_jacobian,
@@ -143,7 +143,7 @@ def certify_extended_correction(
         geometry = found if some is samples else fitted_or_nominal_geometry(some, nominal, request.alone, found.prior)
         return ExtensionBasis(
             residual_correction_summands_at_samples(some, geometry),
-            lambda field: correction_with_field(nominal, geometry, field),
+            lambda field: identified_geometry_correction_with_field(nominal, geometry, field),
             lambda field, at: mean_stated_position_variance(field, at, nominal),
         )
 

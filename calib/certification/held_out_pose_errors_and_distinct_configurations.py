@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import AnyCorrection
-from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
+from calib.correction.machine_correction import AnyCorrection
+from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
 from calib.samples.commanded_and_measured_pose_samples import Samples, pose_covariance_pseudoinverse
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError

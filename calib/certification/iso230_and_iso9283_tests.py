@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import HeldPoses
-from calib.correction.correction import AnyCorrection
+from calib.correction.machine_correction import AnyCorrection
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -118,27 +118,25 @@ def _test(
         unit,
         len(mean),
         cycles,
-        *reversal_values(mean),
+        *iso230_reversal_values(mean),
         float(np.ptp(mean)),
         E_up,
         E_down,
         float(np.ptp(mean.mean(axis=1))),
-        *bidirectional_and_unidirectional_axis_accuracy(mean, s),
-        *axis_repeatability(mean, s),
+        *iso230_axis_accuracy(mean, s),
+        *iso230_axis_repeatability(mean, s),
         u,
         len(mean) >= POSITIONS and cycles >= CYCLES,
     )
 
 
-def reversal_values(mean: Floats) -> tuple[float, float]:
+def iso230_reversal_values(mean: Floats) -> tuple[float, float]:
     """ISO 230-2 reversal values (B, mean B) of mean deviations (positions, 2), from below and from above."""
     B = mean[:, 0] - mean[:, 1]
     return float(np.abs(B).max()), float(B.mean())
 
 
-def bidirectional_and_unidirectional_axis_accuracy(
-    mean: Floats, standard_deviation: Floats
-) -> tuple[float | None, float | None, float | None]:
+def iso230_axis_accuracy(mean: Floats, standard_deviation: Floats) -> tuple[float | None, float | None, float | None]:
     """Axis accuracy (A, A up, A down) of means and standard deviations (positions, 2).
 
     None where unknown.
@@ -150,7 +148,9 @@ def bidirectional_and_unidirectional_axis_accuracy(
     return float(high.max() - low.min()), up, down
 
 
-def axis_repeatability(mean: Floats, standard_deviation: Floats) -> tuple[float | None, float | None, float | None]:
+def iso230_axis_repeatability(
+    mean: Floats, standard_deviation: Floats
+) -> tuple[float | None, float | None, float | None]:
     """Axis repeatability (R, R up, R down) of means and standard deviations (positions, 2).
 
     None where unknown.

@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
-from calib.models.platform.identification import PRIOR, pose_parameter_jacobian
+from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
+from calib.models.platform.platform_identification import PRIOR, pose_parameter_jacobian
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError
 from rig.model.design import Design, MeasuringLimbs

@@ -20,8 +20,8 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import loop_closure_checks_of_redundant_measuring_limbs
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
-from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
-from calib.models.platform.identification import PRIOR, Identified, identify_platform
+from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
+from calib.models.platform.platform_identification import PRIOR, Identified, identify_platform
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError

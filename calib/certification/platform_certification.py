@@ -16,7 +16,7 @@ from calib.certification.claimed_error_reduction_over_workspace import (
     strut_machine_workspace_claim,
     workspace_commands_and_corrected_poses,
 )
-from calib.certification.held_out_errors import (
+from calib.certification.held_out_pose_error_statistics import (
     HeldErrors,
     HeldOut,
     compare_errors,
@@ -37,17 +37,17 @@ from calib.certification.possible_machine_draws import (
     draw_strut_deviation_sizes,
 )
 from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
-from calib.correction.correction import (
+from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.machine_correction import (
     AnyCorrection,
     Correction,
     fit_geometry_and_remainder_of_correction,
     identify_geometry,
 )
-from calib.correction.interpolation.gaussian_process import Radial
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )
-from calib.models.platform.identification import (
+from calib.models.platform.platform_identification import (
     Identified,
     identify_platform,
     inverse_strut_length_jacobian,

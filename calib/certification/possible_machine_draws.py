@@ -26,9 +26,9 @@ from calib.certification.strut_deviation_size_sampler_and_possible_machine_error
     Machines,
     draw_strut_deviation_component_sizes,
 )
-from calib.models.platform.closed_loop_equations import loop_covariance
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
-from calib.models.platform.identification import Identified
+from calib.models.platform.platform_identification import Identified
+from calib.models.platform.strut_loop_closure_equations import loop_covariance
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model import mechanisms

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_travel_limits
-from calib.correction.correction import indices_and_poses_of_solvable_commands
+from calib.correction.machine_correction import indices_and_poses_of_solvable_commands
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.model import mechanisms

@@ -21,7 +21,7 @@ from rig.array_and_json_types import Floats
 from rig.formats.pandas_tables_of_poses_and_errors import DataFrame, pandas_table
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Recording, Sensors
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 COVERAGE = 0.95  # of lengths within an expanded uncertainty
 DRAWS = 100_000  # of errors, for the factor of that

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correction import timed_command_sequence_and_pose_space_correction_map
-from calib.correction.correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.interpolation.delaunay_interpolation_and_grid_interpolation_kernels import Delaunay
 from calib.correction.interpolation.gaussian_process import Radial, RadialMap
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
@@ -27,11 +26,12 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
 )
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Linear, Simplex
 from calib.correction.interpolation.polynomial_and_axis_sum_fields import AxisFunctions, Polynomial
+from calib.correction.machine_correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import NAMES, PoseMap, PoseSpace
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )
-from calib.models.platform.identification import PRIOR, Identified, identify_platform
+from calib.models.platform.platform_identification import PRIOR, Identified, identify_platform
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
@@ -45,7 +45,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     is_parallel,
     strut_or_axis_jacobian_by_pose,
 )
-from rig.model.pose import pose_to_entry
+from rig.model.pose import pose_file_entry
 from rig.planning.configuration_generators import evenly_spread_configurations
 
 SHAPES = {  # of the arrays: a axes, m outputs, the other letters any number, the same wherever they stand
@@ -335,7 +335,7 @@ def fit_correction_summand_field(samples: FieldSamples, kind: str, smoothness_fr
     )
 
 
-def correction_with_field(
+def identified_geometry_correction_with_field(
     nominal: Parallel, identified: Identified, field: Field | None
 ) -> Correction[Parallel, Radial]:
     """Correction of an identified geometry with a Field.
@@ -345,7 +345,7 @@ def correction_with_field(
     return Correction(nominal, identified.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
-def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]:
+def rms_and_greatest_strut_single_step_error(correction: AnyCorrection) -> tuple[float, float]:
     """Errors (RMS, greatest) m of struts corrected in a single step, not taken to the fixed point.
 
     The single step is X + KSF(X).
@@ -360,7 +360,7 @@ def single_step_command_errors(correction: AnyCorrection) -> tuple[float, float]
 def pose_map_dict(pose_map: PoseMap) -> Json:
     """dict of a PoseMap, as JSON holds it."""
     return {
-        "home": pose_to_entry(pose_map.home),
+        "home": pose_file_entry(pose_map.home),
         "coordinates": [NAMES[i] for i in pose_map.coordinates],
         "field": field_to_dict(pose_map.field),
     }

@@ -43,7 +43,7 @@ class CTables:
         if kind == "double" and not np.isfinite(flat).all():
             numbers = ["HUGE_VAL" if n == "inf" else "-HUGE_VAL" if n == "-inf" else n for n in numbers]
         opening = f"static const {kind} {name}{shape} = {{"
-        rows = wrapped_number_lines(numbers) if shape.count("[") < 2 else _nested(numbers, np.shape(values)[-1])
+        rows = c_number_lines(numbers) if shape.count("[") < 2 else _nested(numbers, np.shape(values)[-1])
         self.lines += [opening, *rows, "};"]
 
     def function(self, name: str, *statements: str) -> None:
@@ -65,7 +65,7 @@ class CTables:
         return [name]
 
 
-def wrapped_number_lines(numbers: list[str]) -> list[str]:
+def c_number_lines(numbers: list[str]) -> list[str]:
     """Lines of numbers, none too long."""
     rows, line = [], "   "
     for number in numbers:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.correction.correction import AnyCorrection
+from calib.correction.machine_correction import AnyCorrection
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, RigError

@@ -16,21 +16,21 @@ from importlib.resources import files
 
 import numpy as np
 
-from calib.correction.correction import AnyCorrection
 from calib.correction.correction_fields_as_c_functions import (
     CTables,
+    c_number_lines,
     define_c_function_of_gaussian_process,
     define_c_functions_of_field,
-    wrapped_number_lines,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field
+from calib.correction.machine_correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from rig.array_and_json_types import Floats
 from rig.effects.framework.parameters_covariates_and_marker_table import ControllerTerm
 from rig.errors import RigError
 from rig.model import mechanisms
+from rig.model.machine_motion_simulation import motion_of_commands
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
-from rig.model.motion_simulation import motion_of_commands
 from rig.recording.recording_folder import Commands
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # of a sensor channel that is a name in C too
@@ -242,7 +242,7 @@ def _constants(channels: dict[str, float], home: Floats) -> str:
             "};",
             "extern const double rig_channel_medians[RIG_CHANNELS];",
             "const double rig_channel_medians[RIG_CHANNELS] = {",
-            *wrapped_number_lines([repr(median) for median in channels.values()]),
+            *c_number_lines([repr(median) for median in channels.values()]),
             "};",
         ]
     else:

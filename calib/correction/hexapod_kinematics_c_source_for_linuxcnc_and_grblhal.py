@@ -15,18 +15,18 @@ from importlib.resources import files
 
 import numpy as np
 
-from calib.correction.correction import AnyCorrection
 from calib.correction.correction_field_methods_fitting_combination_and_json import home_pose
 from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import (
     CSource,
     c_source_part,
     correction_c_source,
 )
+from calib.correction.machine_correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_toml_and_json_entries import LARGEST_RIG
-from rig.formats.exporters.geometry_compensation_and_camera_file_exports import UNITS
+from rig.formats.exporters.json_csv_linuxcnc_and_camera_file_exports import UNITS
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod

@@ -2,9 +2,10 @@
 
 Effects are stored with a calibration, and commands compensate them.
 
-The one forward model of motion (rig.model.motion_simulation) says what commands become, by their whole history, the
-sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a fixed point
-over the whole route at once, in which the step of an axis grows while it has no effect, as it has none within a gap.
+The one forward model of motion (rig.model.machine_motion_simulation) says what commands become, by their whole
+history, the sensors and the pose. Sought are commands that become what the geometry asks for at every wanted pose: a
+fixed point over the whole route at once, in which the step of an axis grows while it has no effect, as it has none
+within a gap.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,22 +14,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import AnyCorrection
+from calib.correction.machine_correction import AnyCorrection
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import Route
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.errors import NotConverged, RigError
 from rig.formats.numbers_and_units import quantity_text
-from rig.model import mechanisms, motion_simulation
-from rig.model import motion_simulation as machine
+from rig.model import machine_motion_simulation as machine
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.base_and_link_tilt_sensors import GRAVITY, BaseTilt, has_gravity_sensor_channels
 from rig.model.design import Actuator, Design, Platform
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms.arm import hand_pose_of_each_row
+from rig.model.mechanisms.arm_kinematics_limits_and_loads import hand_pose_of_each_row
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, has_links, is_parallel
 from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import with_follower_struts_of
 from rig.model.pose import exp

@@ -3,18 +3,18 @@
 Cameras, lenses and hexapod geometry, and the correction refined by it.
 
 No frame has unknowns of its own: its pose is the forward kinematics of its command. Two steps (poses first,
-parameters after, calib/models/platform/identification.py) agree with this to second order where the poses' shared
-errors are solved for with the parameters, and fall behind it where they are pooled with the poses' own.
+parameters after, calib/models/platform/platform_identification.py) agree with this to second order where the poses'
+shared errors are solved for with the parameters, and fall behind it where they are pooled with the poses' own.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.correction.correction import Correction
 from calib.correction.interpolation.gaussian_process import Radial
-from calib.identify.bounded_least_squares_and_robust_fit import Linear, fit_least_squares
-from calib.models.platform.identification import PRIOR, Identified, pose_parameter_jacobian
+from calib.correction.machine_correction import Correction
+from calib.identify.bounded_and_robust_least_squares_fit import Linear, fit_least_squares
+from calib.models.platform.platform_identification import PRIOR, Identified, pose_parameter_jacobian
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
@@ -28,11 +28,16 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_hexapod,
 )
 from rig.model.pose import exp, skew
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
-from vision.corner_observations import Observations
-from vision.predict import State, base_points_in_camera_frame, iterate_observed_cameras, observed_points_base
-from vision.recording_adjustment import Measurement
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import (
+    State,
+    base_points_in_camera_frame,
+    iterate_observed_cameras,
+    observed_points_base,
+)
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)

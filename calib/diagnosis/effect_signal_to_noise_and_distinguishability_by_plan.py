@@ -13,23 +13,23 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
     observations_grouped_into_sightings,
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import linearise
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.identification_and_joint_profiles import independent_arm_parameter_mask
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_identification_and_joint_profiles import independent_arm_parameter_mask
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
-from calib.models.platform.closed_loop_equations import loop_covariance
-from calib.models.platform.identification import PRIOR
+from calib.models.platform.platform_identification import PRIOR
+from calib.models.platform.strut_loop_closure_equations import loop_covariance
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.errors import RigError
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod, loop_closure_parameter_jacobian
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands, Recording, Sensors
-from vision.corner_observations import observations_from_corners
-from vision.predict import marker_map
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import marker_map
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,10 @@ def arm_effect_signal_to_noise(
         raise RigError(f"this requires an arm, not a mechanism of kind {arm.kind!r}")
     q = motion_simulation.motion_of_commands(true_design, commands, t, effects, sensors).lengths
     free = independent_arm_parameter_mask(arm, "pose" if k == 6 else "position")
-    J = error_model_and_observations.parameter_jacobian(q, arm)[:, :k][..., free] / np.repeat(sigma, 3)[:, None]
+    J = (
+        arm_error_model_and_instrument_observations.parameter_jacobian(q, arm)[:, :k][..., free]
+        / np.repeat(sigma, 3)[:, None]
+    )
     Q = np.linalg.qr(J.reshape(len(t) * k, -1))[0]
     out = []
     for i in range(len(effects)):

@@ -17,7 +17,7 @@ from calib.certification.platform_certification import (
     certified_with_machine_draws_and_covariance,
     silent_progress,
 )
-from calib.correction.correction import AnyCorrection
+from calib.correction.machine_correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics, Unknown
 from calib.diagnosis.engine.cross_validation_and_chance import Z95
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
@@ -36,21 +36,23 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
     operating_point_of_recording,
     remove_corners_far_from_prediction,
 )
-from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import correct_marker_swaps
+from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
+    operating_point_with_marker_swaps_corrected,
+)
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from calib.diagnosis.smooth_curves_for_unexplained_axis_errors import (
     arm_fit_with_curves_for_unexplained,
     refinement_with_curves_for_unexplained,
 )
-from calib.models.arm.certification import UNPLACED, CertifiedArm, start_arm_of_fit
-from calib.models.arm.error_model_and_observations import observations_of_samples, parameter_names
+from calib.models.arm.arm_certification import UNPLACED, CertifiedArm, start_arm_of_fit
+from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples, parameter_names
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, Prior, fit_geometry_and_effects
-from calib.models.platform.identification import Loops
+from calib.models.platform.platform_identification import Loops
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, samples_of_movable_coordinates
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import Kinds
 from rig.errors import FileError, RigError
@@ -239,7 +241,9 @@ def refit_platform_with_findings(
     report = progress or silent_progress
     report("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
-    point = remove_corners_far_from_prediction(correct_marker_swaps(point, [e for e in findings.effects if e.discrete]))
+    point = remove_corners_far_from_prediction(
+        operating_point_with_marker_swaps_corrected(point, [e for e in findings.effects if e.discrete])
+    )
     refined = refine_operating_point(
         point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
     )

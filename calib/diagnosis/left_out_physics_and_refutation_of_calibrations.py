@@ -25,11 +25,11 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     verify_claim_on_samples,
 )
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.held_out_errors import pose_errors, predicted_poses
+from calib.certification.held_out_pose_error_statistics import pose_errors, predicted_poses
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report.diagnosis_json_entries import UNKNOWN
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import (
     Report,
     diagnosis_report,
     missing_evidence_of_report,

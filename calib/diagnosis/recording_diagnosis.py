@@ -45,11 +45,11 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Tolerable,
     ToleratedFindings,
 )
-from calib.models.platform.identification import require_followers_of_redundant_platform
+from calib.models.platform.platform_identification import require_followers_of_redundant_platform
 from calib.samples.commanded_and_measured_pose_samples import Sampled
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from rig.effects.catalogue.effect_list import ALL, Plugin
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_parallel

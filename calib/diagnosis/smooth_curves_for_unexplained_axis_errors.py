@@ -30,7 +30,7 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
     refine_operating_point,
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
-from calib.models.arm.error_model_and_observations import observations_of_samples
+from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     Columns,
     JointFit,
@@ -38,7 +38,7 @@ from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     fit_geometry_and_effects,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     conserved_coordinate_sums,
     fit_coordinates_of_effects,
@@ -46,9 +46,9 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import (
 from rig.effects.framework.parameters_covariates_and_marker_table import Context
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import (
     curve_classes_by_covariate,
-    words_for_covariate_of_curve_effect,
+    curve_covariate_words,
 )
-from rig.model.motion_simulation import motion_of_commands
+from rig.model.machine_motion_simulation import motion_of_commands
 
 SIZES = np.geomspace(1e-7, 1e-2, 26)  # prior standard deviations of a curve, in the axis' unit
 TRANSIENT = 3.0  # log of how much likelier a curve over time, which may not come again, must be than another
@@ -284,7 +284,7 @@ def _undone(
             add(curve.effect)
             if done is None:
                 done = _Undone([], curve.before, curve.after)
-            done.names.append(words_for_covariate_of_curve_effect(curve.effect))
+            done.names.append(curve_covariate_words(curve.effect))
             done.after = curve.after
         out.append(
             one

@@ -21,7 +21,7 @@ from calib.drift.visit_equations_and_reference import (
     pose_jacobian_by_machine_changes,
     require_watchable_calibrated_machine,
 )
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.calibration_covariance_parameters import covariance_parameters
 from calib.models.platform.optimal_calibration_poses import configurations_outside_exclusion
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import are_nominal_poses_out_of_corrected_reach
 from rig.array_and_json_types import Floats, Integers
@@ -30,7 +30,7 @@ from rig.model.design import Actuator, Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_units, has_struts, kinematics_of
 from rig.planning.configuration_generators import evenly_spread_configurations
 from rig.recording.recording_folder import Commands
-from vision.predict import marker_map, visible_marker_counts_over_all_cameras
+from vision.marker_corner_prediction import marker_map, visible_marker_counts_over_all_cameras
 
 CANDIDATES, SEARCHED = 400, 4000  # configurations, and among how many those are sought that cameras see
 FEWEST = 2  # markers of what moves that a configuration must show

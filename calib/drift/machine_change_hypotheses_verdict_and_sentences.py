@@ -21,7 +21,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from calib.drift.visit_equations_and_reference import Equations, Reference, machine_change_names, machine_change_units
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.calibration_covariance_parameters import covariance_parameters
 from rig.array_and_json_types import Floats
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_place_texts, axis_units

@@ -15,12 +15,12 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.models.covariance_parameters import covariance_parameters, pose_scatter_covariance
+from calib.models.calibration_covariance_parameters import covariance_parameters, pose_scatter_covariance
 from calib.samples.commanded_and_measured_pose_samples import Samples, pose_covariance_pseudoinverse, sample_recording
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.errors import RigError
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import Place, hand_names
 from rig.model.design import Camera, Design, Platform
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -39,10 +39,10 @@ from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import
     normal_equations,
     whitened_residuals_and_derivatives,
 )
-from vision.corner_observations import whitener_of_observations
-from vision.lens import lens_parameter_names
-from vision.predict import marker_map
-from vision.recording_adjustment import Measurement
+from vision.corner_observations_and_merging import whitener_of_observations
+from vision.marker_corner_prediction import marker_map
+from vision.opencv_lens_model import lens_parameter_names
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)

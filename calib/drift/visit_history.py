@@ -30,14 +30,14 @@ from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.output_files import write_text
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import DISTORTION_TERMS, Camera
-from rig.model.pose import pose_to_entry
+from rig.model.pose import pose_file_entry
 from rig.recording.frame_selection_and_content_hashes import (
     content_hashes_of_frames,
     frames_with_known_hashes,
     sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
-from vision.camera_readout_time import known_row_time
+from vision.rolling_shutter_readout_time import rolling_shutter_row_time
 
 LATEST = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts
@@ -152,7 +152,7 @@ SCHEMA = "watch/1"
 MOST_PLACES = 200
 
 
-def calibration_digest(calibration_path: Path) -> str:
+def calibration_file_sha256(calibration_path: Path) -> str:
     """SHA-256 digest of a calibration's file."""
     return sha256(calibration_path.read_bytes()).hexdigest()
 
@@ -173,9 +173,9 @@ def write_history(path: Path | str, history: History) -> None:
             "height": c.height,
             "matrix": c.matrix.tolist(),
             "distortion": c.distortion.tolist(),
-            "pose": pose_to_entry(c.pose),
+            "pose": pose_file_entry(c.pose),
             "shutter": c.shutter,
-            "row_time": known_row_time(c),
+            "row_time": rolling_shutter_row_time(c),
         }
         for c in r.cameras
     ]

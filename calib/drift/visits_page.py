@@ -13,9 +13,9 @@ from calib.certification.calibration_dataclass_and_claim_sentences import refuta
 from calib.certification.claim_verification import Verification
 from calib.drift.machine_change_hypotheses_verdict_and_sentences import ALARM
 from calib.drift.machine_change_hypotheses_verdict_and_sentences import Verdict as Changes
-from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html
+from rig.report.pages.html_and_svg_elements import figures_with_caption_html, heading_html, paragraph_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, Verdict, judge_evidence
 
 SHOWN = 8  # suspects
@@ -60,7 +60,7 @@ def write_visits_page(
     last = visits[-1].evidence
     parts = [
         heading_html("Visit by visit"),
-        captioned_html(
+        figures_with_caption_html(
             figures_side_by_side_html(*drawn),
             "Agreement: deviation of each visit from the calibration over the measurement repeatability, which is 1. "
             f"Evidence: the alarm is at a sum of {ALARM:g}, which unchanged visits reach once in {ALARM:g} visits or "
@@ -71,7 +71,7 @@ def write_visits_page(
         shown = last.suspects[:SHOWN]
         parts += [
             heading_html("Possible changes"),
-            captioned_html(
+            figures_with_caption_html(
                 bar_chart_svg(
                     "odds, were there a change",
                     [one.name for one in shown],

@@ -50,16 +50,22 @@ from calib.experiment.experiment_questions_and_information import (
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.pose import exp
-from rig.planning.plan import sensors_with_payload
+from rig.planning.recording_plan import sensors_with_payload
 from rig.planning.timed_plan_and_visiting_order import Plan
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import PAYLOAD, Sensors
-from vision.corner_observations import observations_from_corners
-from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import (
+    State,
+    is_inside_image,
+    marker_map,
+    predict_sightings,
+    sightings_of_markers_facing_cameras,
+)
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
 TEMPERATURE = "_temperature_C"  # how channels of temperatures end

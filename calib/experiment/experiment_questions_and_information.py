@@ -19,7 +19,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Design
 from rig.planning.configuration_generators import grid_configurations, sobol_configurations
-from rig.planning.plan import axis_strokes, build_plan
+from rig.planning.recording_plan import axis_strokes, build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
 
 FOREIGN = 0.05  # of all odds, for what is in no catalogue

@@ -16,9 +16,15 @@ import numpy as np
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
 from rig.formats import csv_and_parquet_tables_and_time_origin, json_toml_and_yaml_loading
 from rig.formats.checked_toml_and_json_entries import Entries
-from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html, paragraph_html, table_html
+from rig.report.pages.html_and_svg_elements import (
+    figures_with_caption_html,
+    heading_html,
+    list_html,
+    paragraph_html,
+    table_html,
+)
 from rig.report.pages.page_templates_and_index_page import Page, write_page
-from rig.report.pages.plots import COLOURS, Series, plot_panel_svg
+from rig.report.pages.svg_plots import COLOURS, Series, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import (
     LOOK,
     Evidence,
@@ -250,7 +256,7 @@ def write_investigation_page(
     """
     parts = [
         heading_html("Odds"),
-        captioned_html(
+        figures_with_caption_html(
             _odds_figure(rounds),
             "Odds of the hypotheses considered after each recording, from all recordings so far; a hypothesis with no "
             "equally good alternative is at 1, one that was excluded at 0. Good: one line ends at 1. Bad: lines that "

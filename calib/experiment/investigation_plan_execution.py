@@ -16,7 +16,7 @@ from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, quarter_turns_of_cubes
 from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
 
 Command = Callable[[Sequence[str]], int]  # words of a command of rig -> its exit status

@@ -51,7 +51,7 @@ from calib.experiment.experiment_questions_and_information import (
     rival_hypotheses_with_odds,
 )
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate
 from rig.errors import RigError
 from rig.model import mechanisms

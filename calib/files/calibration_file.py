@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.held_out_errors import Figures, HeldOut
+from calib.certification.held_out_pose_error_statistics import Figures, HeldOut
 from calib.certification.platform_certification import Certified
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     field_from_entries,
@@ -34,9 +34,9 @@ from calib.files.mechanism_and_physics_entries import (
     require_same_ranges,
     require_schema_contents,
 )
-from calib.models.arm.certification import CertifiedArm as ArmCertified
-from calib.models.arm.correction import ArmCorrection
-from calib.models.chain.certification_and_page import CertifiedChain as ChainCertified
+from calib.models.arm.arm_certification import CertifiedArm as ArmCertified
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.chain.chain_certification_and_page import CertifiedChain as ChainCertified
 from calib.models.machine_models import calibration_with_workspace, machine_model_of_mechanism
 from calib.samples.commanded_and_measured_pose_samples import Sampled
 from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_from_entries, confounds_of_samples

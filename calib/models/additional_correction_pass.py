@@ -30,7 +30,6 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     configuration_numbers,
 )
 from calib.certification.platform_certification import Certified, Progress, silent_progress
-from calib.correction.correction import AnyCorrection
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_additional_pass,
     correction_with_pose_space_map,
@@ -47,30 +46,34 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
     SpacePart,
     SummedPasses,
 )
+from calib.correction.machine_correction import AnyCorrection
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import (
     NAMES,
     PoseMap,
     PoseSpace,
     pose_coordinates,
 )
-from calib.models.arm.certification import CertifiedArm
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import observations_of_samples
+from calib.models.arm.arm_certification import CertifiedArm
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
     configurations_evenly_over_visited_joint_ranges,
-    joint_correction_field_samples,
-    unfitted_arm,
+    identified_arm_without_fit,
+    joint_correction_summands_for_interpolation,
 )
 from calib.models.base_and_tool_displacement_between_recordings import (
     PlacedSamples,
     has_base_and_tool_placements,
     placed_samples,
 )
-from calib.models.chain.certification_and_page import CertifiedChain, chain_workspace_values_and_poses
-from calib.models.chain.configuration_space_correction import chain_correction_field_samples, unfitted_chain
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.calibration_covariance_parameters import covariance_parameters
+from calib.models.chain.chain_certification_and_page import CertifiedChain, chain_workspace_values_and_poses
+from calib.models.chain.chain_correction_over_configuration_space import (
+    chain_correction_summands_for_interpolation,
+    identified_chain_without_fit,
+)
 from calib.models.machine_models import corrected_pose_covariance
-from calib.models.platform.identification import Identified
+from calib.models.platform.platform_identification import Identified
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotEnoughData, RigError
@@ -189,11 +192,11 @@ def _certified(
     correction: Any = done.correction  # of any kind of machine
     fitted, scale = correction.fitted, _share_of_earlier_variance(samples, done, previous, rng)
     if isinstance(fitted, Arm):
-        found = unfitted_arm(observations_of_samples(_undone(samples, correction)), fitted)
+        found = identified_arm_without_fit(observations_of_samples(_undone(samples, correction)), fitted)
         known = replace(found, covariance=scale * previous.covariance, scatter=np.sqrt(scale) * previous.scatter)
         return CertifiedArm(correction, known, done.label, done.held_out, None, None, done.left)
     if isinstance(fitted, Chain):
-        chain = unfitted_chain(samples, fitted)
+        chain = identified_chain_without_fit(samples, fitted)
         of_chain = replace(chain, covariance=scale * previous.covariance, scatter=np.sqrt(scale) * previous.scatter)
         return CertifiedChain(correction, of_chain, done.label, done.held_out, done.left)
     geometry: Identified = fitted_or_nominal_geometry(samples, correction.nominal, True)
@@ -243,11 +246,11 @@ def residual_axis_summands(samples: Samples, correction: AnyCorrection) -> Field
     It is that of an earlier calibration; they are nearest to none.
     """
     if isinstance(correction.fitted, Arm):
-        return joint_correction_field_samples(
+        return joint_correction_summands_for_interpolation(
             _undone(samples, correction), correction.fitted, np.zeros(samples.common.shape[2])
         )
     if isinstance(correction.fitted, Chain):
-        return chain_correction_field_samples(_undone(samples, correction), correction.fitted)
+        return chain_correction_summands_for_interpolation(_undone(samples, correction), correction.fitted)
     return residual_correction_summands_of_pass(samples, correction)
 
 

@@ -17,8 +17,8 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.models.arm import error_model_and_observations as arms
-from calib.models.chain import error_model_and_identification as chains
+from calib.models.arm import arm_error_model_and_instrument_observations as arms
+from calib.models.chain import chain_error_model_and_identification as chains
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     are_base_and_tool_frames_unknown,

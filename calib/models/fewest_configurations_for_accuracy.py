@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from calib.correction.correction import indices_and_poses_of_solvable_commands
+from calib.correction.machine_correction import indices_and_poses_of_solvable_commands
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
 from calib.models.platform.optimal_calibration_poses import (

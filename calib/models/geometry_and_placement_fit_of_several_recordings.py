@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm.certification import start_arm_of_fit
-from calib.models.arm.error_model_and_observations import observations_of_samples
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
+from calib.models.arm.arm_certification import start_arm_of_fit
+from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.models.base_and_tool_displacement_between_recordings import (
     LOOSE,
     NONE,
@@ -29,8 +29,8 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     samples_as_measured_in_reference,
     target_poses_by_forward_kinematics,
 )
-from calib.models.chain import error_model_and_identification as chains
-from calib.models.chain.error_model_and_identification import identify_chain
+from calib.models.chain import chain_error_model_and_identification as chains
+from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import Below, Samples, sample_recording
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Arm, Chain

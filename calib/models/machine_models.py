@@ -12,27 +12,26 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     gaussian_process_from_entries,
     pose_map_from_entries,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field
+from calib.correction.machine_correction import AnyCorrection, Correction
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import PoseMap
-from calib.models.arm import certification as arm_certification
-from calib.models.arm import error_model_and_observations as arm_errors
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.identification_and_joint_profiles import Profile
-from calib.models.chain import certification_and_page as chain_certification
-from calib.models.chain import error_model_and_identification as chains
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.arm import arm_certification as arm_certification
+from calib.models.arm import arm_error_model_and_instrument_observations as arm_errors
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_identification_and_joint_profiles import Profile
+from calib.models.calibration_covariance_parameters import covariance_parameters
+from calib.models.chain import chain_certification_and_page as chain_certification
+from calib.models.chain import chain_error_model_and_identification as chains
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import map_workspace
 from rig.array_and_json_types import Floats
 from rig.formats.checked_toml_and_json_entries import Entries
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism
-from rig.model.mechanisms.file_mechanism import SCALE
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,
     Mechanism,
@@ -43,6 +42,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     require_chain,
     require_parallel,
 )
+from rig.model.mechanisms.user_kinematics_file_mechanism import SCALE
 
 Certified = platform_certification.Certified | arm_certification.CertifiedArm | chain_certification.CertifiedChain
 Parts = list[Entries | None]  # the remainder's table of each axis, None where an axis has none

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Responses
+from calib.correction.machine_correction import Responses
 from calib.correction.physical_effects_of_calibration_and_their_compensation import (
     Machine,
     Physics,
@@ -31,14 +31,14 @@ from calib.correction.timed_command_sequence_and_pose_space_correction_map impor
 )
 from calib.models.machine_models import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.protocols.poses_of_hexapod_controllers import PoseFrames
-from rig.effects.framework.effect import Effect
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import PoseFrames
+from rig.effects.framework.effect_base_class import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.model import mechanisms
+from rig.model.machine_motion_simulation import motion_of_commands
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, require_hexapod
 from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import with_follower_struts_of
-from rig.model.motion_simulation import motion_of_commands
-from rig.planning.plan import SPEED, UNSTATED_SPEED
+from rig.planning.recording_plan import SPEED, UNSTATED_SPEED
 from rig.recording.recording_folder import Sensors
 
 BEYOND = 1.2  # times what an axis remembers that an approach goes
@@ -73,7 +73,7 @@ class _Spread:
     uncovered: tuple[tuple[str, int], ...]
 
 
-def pace_that_holds_poses_at_times(calibration: Calibration, hold_times: Floats, sensors: Sensors | None) -> Pace:
+def pace_with_hold_times(calibration: Calibration, hold_times: Floats, sensors: Sensors | None) -> Pace:
     """Pace of a route whose poses are held at the hold times (n,) s."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
     unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.axis_units(calibration.correction.nominal))

@@ -100,7 +100,7 @@ def save_limbs(path: Path | str, accepted: Accepted) -> None:
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
-def load_limbs_whatever_their_verdict(path: Path | str) -> Accepted:
+def load_limbs_of_any_verdict(path: Path | str) -> Accepted:
     """Load Accepted limbs from a limbs.json, whatever its verdict.
 
     Raises FileError
@@ -145,7 +145,7 @@ def load_accepted_limbs_for_design(path: Path | str, design: Design) -> Accepted
 
     Raises RigError where they may not.
     """
-    found = load_limbs_whatever_their_verdict(path)
+    found = load_limbs_of_any_verdict(path)
     limbs, six = stated_limbs(design), found.limbs.chosen
     spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
     if len(limbs.channels) != len(six) + spare:
@@ -176,7 +176,7 @@ def load_accepted_limbs_for_design(path: Path | str, design: Design) -> Accepted
     return found
 
 
-def withdraw_acceptance(accepted: Accepted, recording: str, frame: int, reason: str) -> Accepted:
+def limbs_with_acceptance_withdrawn(accepted: Accepted, recording: str, frame: int, reason: str) -> Accepted:
     """Accepted limbs with their acceptance withdrawn.
 
     recording, frame : where it was found; reason : in words
@@ -194,7 +194,7 @@ def is_limbs_file(path: Path) -> bool:
     if not path.exists():
         return False
     try:
-        load_limbs_whatever_their_verdict(path)
+        load_limbs_of_any_verdict(path)
     except FileError as error:
         raise FileError(path, f"exists and is not a limbs.json ({error}); name another file") from None
     return True

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_from_entries
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.calibration_covariance_parameters import covariance_parameters
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
@@ -27,8 +27,8 @@ from rig.model.pose import pose_difference
 
 class Learner(ABC):
     """nominal : the mechanism that it starts from; the estimate is `mechanism`; p : (p,) its parameters, as
-    calib.models.covariance_parameters counts them; free : indices of the f that are learnt; `memory` : what is kept of
-    the poses beside it; `setting` : its one choice, named SETTING.
+    calib.models.calibration_covariance_parameters counts them; free : indices of the f that are learnt; `memory` :
+    what is kept of the poses beside it; `setting` : its one choice, named SETTING.
 
     number : poses so far; data : marks of what was learnt (see rig.recording.frame_selection_and_content_hashes), so
         that it is not learnt again

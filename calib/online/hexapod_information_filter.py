@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.platform.identification import PRIOR
+from calib.models.platform.platform_identification import PRIOR
 from calib.online import information_filter_state_steps_and_json_file
 from calib.online.information_filter_kernels_and_change_detection import (
     SUSPECT,

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from calib.models.platform.closed_loop_equations import Measured, forward_kinematics_kernel, whitened_pose_row
+from calib.models.platform.strut_loop_closure_equations import Measured, forward_kinematics_kernel, whitened_pose_row
 from rig.array_and_json_types import Floats
 from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 
@@ -36,7 +36,7 @@ CLEARLY = 9.0  # likelihood ratio that every pose must give a knocked joint
 COUNTS = 4.0  # standard errors from which one strut of several counts as having jumped
 
 
-def jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
+def strut_jump_threshold(false_alarm: float, onsets: int = WINDOW) -> float:
     """Threshold of a strut's jump, in standard errors.
 
     At one of `onsets` poses, for a `false_alarm` chance.
@@ -50,7 +50,7 @@ def likelihood_ratio_thresholds(false_alarm: float, onsets: int = WINDOW) -> dic
     return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
 
 
-JUMP = jump_threshold(FALSE_ALARM)
+JUMP = strut_jump_threshold(FALSE_ALARM)
 MOVED = likelihood_ratio_thresholds(FALSE_OTHER)
 MISFIT = {k: float(chdtri(k, LEFT)) for k in range(1, 19)}
 SUSPECT = MOVED[6]  # innovation squared beyond which a pose is held until the next one

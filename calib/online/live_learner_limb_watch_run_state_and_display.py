@@ -15,7 +15,7 @@ from calib.certification import (
     measuring_limb_calibration_slips_and_vision_agreement,
 )
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.online.hexapod_information_filter import Online
 from calib.online.information_filter_kernels_and_change_detection import Change
 from calib.samples.commanded_and_measured_pose_samples import Samples

@@ -35,7 +35,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import select_frames
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_cube_layout_remarks import Notice
+from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong
@@ -335,5 +335,5 @@ def write_acceptance_withdrawal(path: Path, accepted: Accepted, recording: str, 
     Raises FileError where that cannot be written.
     """
     accepted_measuring_limbs_file.save_limbs(
-        path, accepted_measuring_limbs_file.withdraw_acceptance(accepted, recording, frame, reason)
+        path, accepted_measuring_limbs_file.limbs_with_acceptance_withdrawn(accepted, recording, frame, reason)
     )

@@ -28,8 +28,8 @@ from calib.online.live_learner_limb_watch_run_state_and_display import (
 )
 from calib.online.measuring_limb_poses_checked_by_vision import Disagreement, LiveLimbPoses
 from rig.array_and_json_types import Floats
-from rig.driving.axis_display_units_and_controller_counts import name_of_thousandth_of_axis_units
-from rig.driving.clock import Clock
+from rig.driving.axis_display_units_and_controller_counts import axis_milliunit_name
+from rig.driving.driving_clock import Clock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import (
     CameraExposures,
@@ -47,7 +47,7 @@ from rig.driving.run_steps_from_plan_and_progress_from_journal import Step, long
 from rig.errors import NotConverged, RigError
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.planning.plan import axis_strokes
+from rig.planning.recording_plan import axis_strokes
 from vision.reading.live_measurement_and_corner_refit import Live, Sight, sight_from_measuring_limbs
 from vision.reading.live_run_camera_and_marker_alarms import Alarm, Watch
 
@@ -85,7 +85,7 @@ class RunObserver:
         self.note: Callable[[str], None] = lambda text: (
             None
         )  # puts what is said on record; the operator's, once there is one
-        self._unit = name_of_thousandth_of_axis_units(design.mechanism)
+        self._unit = axis_milliunit_name(design.mechanism)
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if has_six_measuring_limbs(design) else None
         self._read: Floats | None = None

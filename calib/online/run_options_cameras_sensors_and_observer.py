@@ -19,15 +19,15 @@ from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, Live
 from calib.online.observer_of_run_frames import RunObserver, RunStop
 from rig.array_and_json_types import Floats
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
-from rig.driving.axis_display_units_and_controller_counts import name_of_thousandth_of_axis_units
+from rig.driving.axis_display_units_and_controller_counts import axis_milliunit_name
 from rig.driving.axis_driver import Driver
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
     SynchronisedCameras,
     set_exposure_for_markers,
 )
-from rig.driving.clock import Clock
 from rig.driving.driver_opening_and_settling import Settling
+from rig.driving.driving_clock import Clock
 from rig.driving.move_and_record_loop import RunEquipment
 from rig.driving.move_profiles_and_path_check import TimedShares, trapezoidal_profile
 from rig.driving.readings_entered_by_operator_during_run import ReadingForm, permitted_figure_counts_of_reading
@@ -40,18 +40,18 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import axis_units, is_hexapod, require_axes
 from rig.recording.corner_and_pose_csv_tables import Corners
-from vision.corner_observations import observations_from_corners
+from vision.corner_observations_and_merging import observations_from_corners
 from vision.corners.marker_detection_and_corner_fit import detect_markers
+from vision.marker_corner_prediction import expected_marker_rows_and_corners_in_image, marker_map
 from vision.pose.body_pose import FINEST
-from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
-from vision.predict import expected_marker_rows_and_corners_in_image, marker_map
+from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_platform_and_moving_cameras
 from vision.reading.live_measurement_and_corner_refit import Live
-from vision.reading.parallel_image_map_marker_rendering_and_white_level import (
+from vision.reading.parallel_image_map_marker_images_and_white_level import (
     marker_white_level,
     render_marker_images,
     save_image,
 )
-from vision.recording_adjustment import has_hand_cameras
+from vision.recording_adjustment_with_hand_and_stages import has_hand_cameras
 
 ALARMS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 FIRST_EXPOSURE = 0.01  # s that the first exposure takes where it is searched for
@@ -195,7 +195,7 @@ def _compile_poses(design: Design, m: Hexapod) -> None:
         None,
     )
     observed = observations_from_corners(corners, np.zeros(1, int), design, markers)
-    locate_frames(UndistortedCorners(observed, design.cameras, markers, FINEST), design.cameras)
+    locate_platform_and_moving_cameras(UndistortedCorners(observed, design.cameras, markers, FINEST), design.cameras)
     learner, lengths = Learner(m), mechanisms.kinematics_of(m).inverse(m.home, m)
     for _ in range(2):  # the second is held against the first
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
@@ -250,7 +250,7 @@ def open_sensors_and_assemble_equipment(
         ReadingForm(require_axes(design.mechanism), units, permitted_figure_counts_of_reading(design.instrument))
         if settling.by == "ask"
         else None,
-        name_of_thousandth_of_axis_units(design.mechanism),
+        axis_milliunit_name(design.mechanism),
     )
 
 

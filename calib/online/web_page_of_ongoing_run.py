@@ -24,8 +24,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_hexapod
 from rig.model.pose import pose_to_vector, transform_points
 from rig.report.pages.run_page_server import PageServer
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
+from vision.marker_corner_prediction import MarkerMap, marker_map
 from vision.measured_frame_drawings_and_frame_jpegs import encode_jpeg_reduced_to_page_width
-from vision.predict import MarkerMap, marker_map
 
 OFF = 3.0  # standard uncertainties, RMS over the axes that were measured: beyond it one pose is off by more than chance
 CALIBRATE = (

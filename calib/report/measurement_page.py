@@ -17,24 +17,24 @@ from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
-    captioned_html,
     collapsible_section_html,
+    figures_with_caption_html,
     heading_html,
     list_html,
     note_html,
     paragraph_html,
     table_html,
 )
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, patch_means
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_patch_means, image_plane_figure
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
 from vision import measured_frame_drawings_and_frame_jpegs
 from vision.api import TWICE, MeasurementResult, measurement_verdict
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import HeldOut, NotHeldOut
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import UnknownName
 from vision.bundle.marker_and_target_displacements import Places
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import Suspect
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 ENLARGED = 200.0
 
@@ -50,7 +50,7 @@ def _frame_pictures_html(recording: Recording, measurement: Measurement, frame: 
         if camera.name in images
     ]
     return [
-        captioned_html(
+        figures_with_caption_html(
             figures_side_by_side_html(*figures),
             "Outlined in green: markers used; in red: at least one corner rejected. Yellow: residuals (px), "
             f"{ENLARGED:g} times as long as they are. Point at a marker to see its number. Good: few red outlines, "
@@ -125,7 +125,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         *_suspects(result.suspects),
         *_pictures(result),
         heading_html("Residuals of the cameras"),
-        captioned_html(
+        figures_with_caption_html(
             _residual_maps(m),
             "Arrows: mean residual over patches of the image, enlarged; the longest is stated in px. Blue: RMS of the "
             "patch, px. Good: arrows in all directions, an even blue. Bad: arrows that turn or grow towards an edge; "
@@ -139,7 +139,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
         heading_html("Positions of the platform"),
         pose_coverage_figures(pose_to_vector(m.T_base_platform)),
         heading_html("Uncertainty of each pose"),
-        captioned_html(
+        figures_with_caption_html(
             _uncertainty(m, position, rotation),
             "Standard uncertainty of each pose, position (µm) and rotation (µrad), including that of the cameras. "
             "Good: an even band. Bad: single high dots; those frames show few markers, or to one camera alone.",
@@ -158,7 +158,7 @@ def write_measurement_page(path: Path | str, result: MeasurementResult, links: S
                 "together, fix the frames."
             ),
             _moves(result.places),
-            captioned_html(
+            figures_with_caption_html(
                 _residuals(result.places),
                 "RMS residual of the platform's corners (px), frame by frame, with the markers as stated and as "
                 "adjusted. Good: both series coincide. Bad: the stated places leave clearly more.",
@@ -253,7 +253,7 @@ def _residual_map(m: Measurement, i: int) -> str:
         return image_plane_figure(camera.name, "no corners", size, ())
     uv, r = m.observations.uv[rows], m.residuals[rows]
     cell = camera.width / CELLS
-    centre, means = patch_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
+    centre, means = image_patch_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
     mean, rms = means[:, :2], np.sqrt(means[:, 2])
     longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
     return image_plane_figure(

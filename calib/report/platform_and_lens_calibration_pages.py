@@ -7,13 +7,13 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_lines
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
-from calib.certification.held_out_errors import Figures, HeldOut, errors_before_and_after_correction
-from calib.correction.correction import Correction
+from calib.certification.held_out_pose_error_statistics import Figures, HeldOut, errors_before_and_after_correction
 from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.machine_correction import Correction
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     parameter_combinations_and_visibility,
 )
-from calib.models.platform.identification import Identified
+from calib.models.platform.platform_identification import Identified
 from calib.report.pose_and_effect_figures import FITTED, correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.workspace.workspace_page import workspace_section_html
@@ -30,8 +30,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
 from rig.model.pose import pose_to_vector
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
-    captioned_html,
     collapsible_section_html,
+    figures_with_caption_html,
     heading_html,
     list_html,
     note_html,
@@ -42,7 +42,7 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_plane_figure, view_3d_scripts_if_needed
 from rig.report.pages.image_plane_and_3d_views import view_3d_html as view
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 from vision.lenses.lens_calibration_from_photographs import Calibrated
 
@@ -66,7 +66,7 @@ def write_platform_calibration_page(
         *section_html("At poses that were not fitted", _held(calibration.held_out) + evidence_html(calibration)),
         *view_3d_html(recording, calibration, samples),
         heading_html("Correction of each strut"),
-        captioned_html(
+        figures_with_caption_html(
             _corrections(correction, samples),
             "Dots: each commanded length less the length that the nominal model gives for the measured pose, in mm or "
             "mrad. Crosses: the correction. Good: crosses cover the dots. Bad: dots that scatter far from the crosses.",
@@ -201,7 +201,7 @@ def _left(samples: Samples, found: Identified) -> str:
     )
     noise = f"Two standard deviations of a measured pose are {2 * sigma:.1f} u{unit} in a {part}."
     looks = f"Good: dots around 0, nearly all within {2 * sigma:.1f} u{unit}. Bad: a trend, steps, or far dots."
-    return captioned_html(
+    return figures_with_caption_html(
         figures_side_by_side_html(*panels), f"What the correction leaves, in u{unit}. {noise} {looks}"
     )
 
@@ -277,7 +277,7 @@ def write_lens_page(path: Path | str, lens_calibration: Calibrated, links: Seque
     ]
     parts = [
         heading_html("Residuals and uncertainty of the lens"),
-        captioned_html(
+        figures_with_caption_html(
             figures_side_by_side_html(
                 _residuals(lens_calibration), _uncertainty(lens_calibration), _held_out_comparison(lens_calibration)
             ),

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects import sketches
-from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.effects.sketches.motion_effect_sketches import (
     HIGH,
     TIMES,
@@ -25,17 +25,18 @@ from rig.effects.sketches.motion_effect_sketches import (
     place_and_changed_values_text,
 )
 from rig.errors import RigError
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.design import Camera, Design, Marker, Target
+from rig.model.machine_motion_simulation import MachineRun
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.motion_simulation import MachineRun
 from rig.model.pose import pose, pose_difference, pose_to_vector
 from rig.recording.recording_folder import Commands, Sensors
 from rig.report.pages import image_plane_and_3d_views
-from rig.report.pages.html_and_svg_elements import captioned_html
+from rig.report.pages.html_and_svg_elements import figures_with_caption_html
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, DrawnEffect, Quads, Scene, image_plane_figure
-from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
-from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
+from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
+from vision.marker_corner_prediction import MarkerMap, Sightings, State, marker_map, predict_sightings
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
 NONE = 1e-9  # m and rad; less than this does not move the platform
@@ -115,7 +116,7 @@ def pose_coverage_figures(pose_vectors: Floats) -> str:
     panels = figures_side_by_side_html(
         *places, plot_panel_svg("how it was turned", ("pose", "rotation vector, degrees"), turns)
     )
-    return captioned_html(
+    return figures_with_caption_html(
         panels,
         (
             "Positions of the poses (mm), from above and from the side, and the rotation of each (degrees). Good: "
@@ -149,7 +150,7 @@ def correction_error_figures(before: Floats, after: Floats, frames: Integers, po
             for part, label in seen
         )
     )
-    return captioned_html(
+    return figures_with_caption_html(
         panels,
         (
             f"Error of each pose as the nominal model and as the correction have it: {poses}. Position in mm, "
@@ -315,7 +316,7 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     Raises RigError for an effect that neither the rig of the sketches nor its camera can have
     """
     if kind.stage in MOTION_STAGES:
-        return (sketches.draw_arm_sketch if kind.of_links else sketches.draw_sketch)(kind, factor)
+        return (sketches.draw_arm_effect_sketch if kind.of_links else sketches.draw_motion_effect_sketch)(kind, factor)
     run = example_run_with_effect(kind, PLACES[kind.places[-1]], factor, _sketch_targets(), _corner_displacement)
     true, found = (_seen(effects, run.t, run.sensors) for effects in ([], [run.effect]))
     by = found[-1] - true[-1]

@@ -16,18 +16,18 @@ from calib.report.pose_and_effect_figures import (
     rig_scene,
 )
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, list_html
+from rig.report.pages.html_and_svg_elements import figures_with_caption_html, heading_html, list_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Played
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, State, Verdict, judge_evidence
 
 
@@ -178,7 +178,7 @@ def write_plan_page(path: Path | str, file: str, plan_result: PlanFigures, links
         heading_html("Positions"),
         pose_coverage_figures(pose_to_vector(T)),
         heading_html("Axis by axis"),
-        captioned_html(
+        figures_with_caption_html(
             axes,
             "What each axis is commanded (mm or degrees), configuration by configuration. Good: every axis uses its "
             "whole range, from both directions. Bad: an axis that hardly moves; its errors stay unknown.",

@@ -18,7 +18,7 @@ from calib.certification.calibration_evidence_verdict_and_claim_check import (
     evidence_with_verification,
 )
 from calib.certification.claim_verification import Verification
-from calib.certification.held_out_errors import Figures, HeldOut
+from calib.certification.held_out_pose_error_statistics import Figures, HeldOut
 from calib.certification.redundant_strut_length_conflict_causing_internal_forces import StrutConflict
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.commanded_and_measured_pose_samples import Samples
@@ -27,10 +27,10 @@ from rig.array_and_json_types import Floats, Integers
 from rig.formats.numbers_and_units import count_text
 from rig.model.design import Design
 from rig.model.pose import pose_to_vector
-from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, paragraph_html, table_html
+from rig.report.pages.html_and_svg_elements import figures_with_caption_html, heading_html, paragraph_html, table_html
 from rig.report.pages.image_plane_and_3d_views import view_3d_html, view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import (
     AGREES,
     Evidence,
@@ -199,7 +199,7 @@ def _wanted_poses_html(frames: Integers, figures: Figures, stated: tuple[float, 
     )
     return table_html(
         ("deviation from wanted", "RMS", "95 %", "max", "stated uncertainty"), rows[: len(seen)]
-    ) + captioned_html(
+    ) + figures_with_caption_html(
         figures_side_by_side_html(*drawn),
         "Deviation of each measured pose from the wanted one, position in mm and rotation in mrad. Good: all within "
         "the stated uncertainty of the table. Bad: single high dots, or a trend over the frames.",

@@ -39,7 +39,7 @@ from rig.recording.recording_folder import Recording
 
 if TYPE_CHECKING:
     from vision.reading.corner_reading_from_recording_images import Collected
-    from vision.recording_adjustment import Measurement
+    from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import AnyCorrection, Correction
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     fit_correction_summand_field,
     measured_correction_summands,
 )
+from calib.correction.machine_correction import AnyCorrection, Correction
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import Planar2
@@ -49,7 +49,7 @@ class WorkedExample:
     correction: AnyCorrection
 
 
-def compute_worked_example() -> WorkedExample:
+def two_strut_worked_example() -> WorkedExample:
     """Worked example of two struts, computed with all its steps."""
     x = divided_grid_configurations(NOMINAL.strut_range, "1@1")
     x = x[np.lexsort((x[:, 1], x[:, 0]))]
@@ -115,12 +115,12 @@ STYLE = (
 )
 
 
-def example_figures() -> dict[str, str]:
+def two_strut_example_figures() -> dict[str, str]:
     """Figures of the worked example {name: SVG}.
 
     1 to 7 of the source, and the corrected workspace.
     """
-    w = compute_worked_example()
+    w = two_strut_worked_example()
     names = ("L1, L1", "L1, L2", "L2, L1", "L2, L2")
     found = {"fig1": _workspace(w)}
     found |= {f"fig{2 + i}": _sample(w, i, name) for i, name in enumerate(names)}

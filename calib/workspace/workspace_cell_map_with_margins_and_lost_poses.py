@@ -13,12 +13,12 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.correction import (
+from calib.correction.correction_field_methods_fitting_combination_and_json import home_pose
+from calib.correction.machine_correction import (
     AnyCorrection,
     indices_and_poses_of_solvable_commands,
     solvable_commands_and_poses,
 )
-from calib.correction.correction_field_methods_fitting_combination_and_json import home_pose
 from rig.array_and_json_types import Booleans, Floats, Integers, Json
 from rig.errors import NotConverged
 from rig.formats.checked_toml_and_json_entries import Entries

@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.parameters_covariates_and_marker_table import PLOT_UNITS
 from rig.formats.numbers_and_units import number_text
 from rig.report.pages.html_and_svg_elements import (
-    captioned_html,
+    figures_with_caption_html,
     heading_html,
     note_html,
     paragraph_html,
@@ -25,7 +25,7 @@ from rig.report.pages.html_and_svg_elements import (
     table_html,
 )
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import figures_side_by_side_html
+from rig.report.pages.svg_plots import figures_side_by_side_html
 from rig.report.verdict_refutations_and_result_display import Evidence, MissingEvidence, Verdict, judge_evidence
 
 
@@ -238,7 +238,7 @@ def workspace_section_html(workspace: Workspace | None, unit: str) -> list[str]:
     maps = ("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
     return [
         heading_html("The workspace"),
-        captioned_html(
+        figures_with_caption_html(
             figures_side_by_side_html(*maps),
             (
                 "Cells of the workspace, seen from above and from the side; each map states its unit. Darker is more. "
@@ -275,7 +275,7 @@ def write_workspace_page(
     ]
     first, *rest = workspace_lines(workspace, unit)
     parts = [
-        captioned_html(
+        figures_with_caption_html(
             figures_side_by_side_html(
                 *("<div>" + "".join(_titled_cells_html(workspace, q)) + "</div>" for q in quantities)
             ),

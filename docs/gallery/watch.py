@@ -5,7 +5,7 @@ from pathlib import Path
 import calib
 import rig
 import synthetic
-from calib.drift.visit_history import History, calibration_digest
+from calib.drift.visit_history import History, calibration_file_sha256
 
 Path("rig.toml").write_text(rig.new_rig_toml(rig.LayoutOptions(radius=0.3, cameras=3, cubes=3)))
 first = synthetic.simulate("rig.toml", synthetic.SimulateOptions(plan="sobol:40", seed=1))
@@ -19,7 +19,7 @@ for day, effects in enumerate([(), (), ("backlash:strut4:gap=80e-6",)]):
     synthetic.simulate("rig.toml", options).write(f"DAY{day}")
     visits.append(rig.load(f"DAY{day}"))
 
-history = History(calibration_digest(Path("calibration.json")))
+history = History(calibration_file_sha256(Path("calibration.json")))
 result = calib.watch(calib.load("calibration.json"), visits, history)
 print(result.verdict.line)
 for visit in result.visits:

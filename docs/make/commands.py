@@ -6,8 +6,8 @@
 import argparse
 
 from docs.make.field_texts import in_cell
-from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command
 from rig.cli.command_names_groups_summaries_and_exit_statuses import GROUPS, STATUSES
+from rig.cli.command_parser_execution_and_exit_status import argument_adder_and_runner_of_command
 from rig.cli.shared.shared_output_controller_hand_and_worker_options import SHARED, add_worker_options
 
 HEAD = """# The commands

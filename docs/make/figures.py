@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from docs.make.project import rig
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.report.pages.page_templates_and_index_page import standalone_svg
-from synthetic.print_sheets import PAPER, blank_sheet, draw_cube_assembly_page, draw_sheet, sheets_of_target
+from synthetic.printable_target_sheets import PAPER, blank_sheet, draw_cube_assembly_page, draw_sheet, sheets_of_target
 
 DOCS = Path(__file__).parents[1]
 TUTORIAL, FOLDER = DOCS / "tutorial-simulated.md", DOCS / "figures"

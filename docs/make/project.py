@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 
 LOST = next(kind for kind in ALL if kind.forgets is not Effect.forgets)  # how an axis came to its place matters
 SCALED = next(kind for kind in ALL if kind.form == "slope")  # it grows with the travel

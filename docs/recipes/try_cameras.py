@@ -5,7 +5,7 @@ import sys
 import cv2
 
 from rig.driving.cameras import open_camera
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 
 clock = SystemClock()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.array_and_json_types import Json
-from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_numbers, quantity_parser
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import make_quantity_parser, parse_numbers
 from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_option,
     add_overwrite_option,
@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--sweep",
         metavar="10deg",
-        type=quantity_parser("rad", "rad"),
+        type=make_quantity_parser("rad", "rad"),
         help="search nothing: visit the self-motion from end to end with the fastest joint in steps of at most this (a "
         "plain number is in rad, of slides m), and write it to --out as a plan commands:FILE, whose recording --among "
         "compares; through --from, by default through a solution of --pose; it takes --hold alone beside",

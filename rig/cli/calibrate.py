@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
-from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_length, quantity_parser
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import make_quantity_parser, parse_length
 from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
 from rig.cli.shared.input_file_options_and_loading import (
     add_continue_despite_mistakes_option,
@@ -271,13 +271,13 @@ def _add_learner_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--drift",
-        type=quantity_parser("m", "m"),
+        type=make_quantity_parser("m", "m"),
         metavar="0.1um",
         help="of drifting: random-walk step of a parameter per pose (default 0.1um; a plain number is in m)",
     )
     parser.add_argument(
         "--step",
-        type=quantity_parser("m", "m"),
+        type=make_quantity_parser("m", "m"),
         metavar="1mm",
         help="of first-order: how far a parameter may have to go (default 1mm; a plain number is in m)",
     )

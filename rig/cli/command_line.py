@@ -24,7 +24,7 @@ def main(argv: list[str] | None = None) -> int:
         from rig.cli.urgent_stop_before_slow_imports import begin_urgent_stop_of_command_words
 
         begun = begin_urgent_stop_of_command_words(words[1:])
-    from rig.cli.command_import_execution_and_exit_status import run_command_line_words
+    from rig.cli.command_parser_execution_and_exit_status import run_command_line_words
 
     return run_command_line_words(words, main, begun)
 

@@ -31,7 +31,7 @@ from rig.formats.numbers_and_units import parse_number
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
     from calib.api.next_experiment import ExperimentOptions
-    from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report
+    from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import Report
     from rig.recording.recording_folder import Recording
 
 MENTIONED = 4  # remarks, and rows that were left out, in the terminal

@@ -22,7 +22,7 @@ from rig.errors import RigError
 from rig.formats.output_files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
-    from rig.effects.framework.effect import Effect
+    from rig.effects.framework.effect_base_class import Effect
     from rig.effects.sketches import Sketch
 
 
@@ -118,11 +118,11 @@ def run_document(arguments: Namespace) -> None:
     from rig.api import effect_catalogue
     from rig.errors import RigError
     from rig.formats.output_files import write_text
-    from rig.formats.output_files.atomic_file_writing_and_process_locks import is_written_directly
+    from rig.formats.output_files.atomic_file_writing_and_process_locks import is_path_written_without_staging
 
     kinds = input_file_options_and_loading.known_effects(input_file_options_and_loading.load_effect_files(arguments))
     out = arguments.outputs.file(arguments.out)
-    printed = is_written_directly(out)
+    printed = is_path_written_without_staging(out)
     if not printed and not arguments.out.suffix:
         raise RigError(
             f"{arguments.out} has no suffix, and a folder of the same name next to it would hold the "

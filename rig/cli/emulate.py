@@ -125,7 +125,7 @@ def _list_faults() -> None:
 def _emulate(arguments: Namespace) -> None:
     """Emulate a controller until interrupted."""
     from rig.driving import emulators
-    from rig.driving.clock import SystemClock
+    from rig.driving.driving_clock import SystemClock
     from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp
     from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import emulator_of_rig_toml_controller
     from rig.formats.rig_toml.design_from_rig_toml import load_design
@@ -181,14 +181,17 @@ def _protocol(arguments: Namespace) -> str | None:
 
 def _conform(arguments: Namespace) -> None:
     """Print each check of a protocol. Raises RigError where one is not passed."""
-    from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
+    from rig.driving.emulators.protocol_conformance_checks_against_emulator import (
+        check_protocol_conformance,
+        protocol_conformance_design,
+    )
 
-    design = conformance_design(arguments.design, _protocol(arguments))
+    design = protocol_conformance_design(arguments.design, _protocol(arguments))
     protocol = _protocol(arguments) or (design.driver().protocol if arguments.design else None)
     if protocol is None:
         raise RigError("--conform takes a RIG.toml, or --protocol mine.py")
     failed = count = 0
-    for check in check_conformance(design, protocol, arguments.moves, arguments.seed):
+    for check in check_protocol_conformance(design, protocol, arguments.moves, arguments.seed):
         failed, count = failed + bool(check.problem), count + 1
         print(f"{'FAILED' if check.problem else 'passed'}  {check.name}: {check.problem or check.found}", flush=True)
     if failed:
@@ -206,7 +209,7 @@ def _new(arguments: Namespace) -> None:
     if not name.isidentifier():
         raise RigError(f"--new takes a name of letters, digits and underscores, not {arguments.new!r}")
     text, path = (
-        files("rig.driving").joinpath("example_protocol_with_emulator.py").read_text(encoding="utf-8"),
+        files("rig.driving").joinpath("example_user_protocol_with_emulator.py").read_text(encoding="utf-8"),
         name + ".py",
     )
     write_text(arguments.outputs.file(Path(path)), text)

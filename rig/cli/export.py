@@ -12,7 +12,10 @@ import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 
-from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import parse_tolerance, quantity_parser
+from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    make_quantity_parser,
+    parse_tolerance,
+)
 from rig.cli.shared.input_file_options_and_loading import add_deprecated_option_name
 from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
     add_json_result_option,
@@ -79,7 +82,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--lead",
-        type=quantity_parser("m", "m"),
+        type=make_quantity_parser("m", "m"),
         metavar="4mm",
         help="of genhexkins: the screws' lead per revolution, for "
         "--coupling (a plain number is in m; default [actuator] screw_lead of a rig.toml)",
@@ -114,7 +117,7 @@ def arguments(parser: ArgumentParser) -> None:
         metavar="250mm",
         nargs="+",
         default=[],
-        type=quantity_parser("m", "m"),
+        type=make_quantity_parser("m", "m"),
         help="of grblhal-kins: length of the struts where the motors count 0, one or six, as [controller] zero "
         "(plain numbers are in m; default: of the home pose)",
     )

@@ -87,14 +87,15 @@ def run(arguments: Namespace) -> None:
 
 def _print_plan(move: PoseMove, driven: bool = True) -> None:
     """Print the values to command. driven : whether the move starts from where the axes stand, not from home"""
-    from rig.driving.axis_display_units_and_controller_counts import axes_word, values_text
+    from rig.driving.axis_display_units_and_controller_counts import axes_word, axis_values_text
 
     m = move.design.mechanism
     if m.link_rows is not None:
         stand = f"where the {axes_word(m)} stand" if driven else "zero"
         print(f"of the postures found that give the pose, the nearest to {stand}")
     print(
-        f"to command: {values_text(move.lengths, m)}, which is {values_text(move.off_nominal, m)} off the nominal model"
+        f"to command: {axis_values_text(move.lengths, m)}, which is {axis_values_text(move.off_nominal, m)} off the "
+        "nominal model"
     )
 
 

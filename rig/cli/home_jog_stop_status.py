@@ -150,9 +150,9 @@ def run_stop(arguments: Namespace) -> None:
 
 def _urgent_stop(arguments: Namespace) -> UrgentStop:
     """A stop that is begun now, of a rig.toml that has to be read whole for it."""
-    from rig.driving.clock import SystemClock
     from rig.driving.controller_address_and_urgent_stop import UrgentStop, controller_address_in_rig_toml
     from rig.driving.driver_opening_and_settling import address_of_controller, design_with_controller_port
+    from rig.driving.driving_clock import SystemClock
 
     address = controller_address_in_rig_toml(arguments.design, arguments.port)
     if address is None:

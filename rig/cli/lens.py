@@ -69,7 +69,7 @@ def run(arguments: Namespace) -> None:
 
     from calib.report.platform_and_lens_calibration_pages import lens_verdict, write_lens_page
     from rig.formats.output_files import write_text
-    from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import camera_toml
+    from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import camera_toml
     from vision.lenses.lens_calibration_from_photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())

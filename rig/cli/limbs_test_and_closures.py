@@ -202,14 +202,14 @@ def run_closures(arguments: Namespace) -> int:
     """
     from calib.api.loop_closure_check_of_redundant_legs import LoopClosureOptions, close_loops
     from calib.files import calibration_file
-    from calib.online.accepted_measuring_limbs_file import load_limbs_whatever_their_verdict
+    from calib.online.accepted_measuring_limbs_file import load_limbs_of_any_verdict
 
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     options = LoopClosureOptions(
         tuple(arguments.use.split(",")) if arguments.use else None,
         None if arguments.calibration is None else calibration_file.load(arguments.calibration),
-        None if arguments.limbs is None else load_limbs_whatever_their_verdict(arguments.limbs),
+        None if arguments.limbs is None else load_limbs_of_any_verdict(arguments.limbs),
     )
     result = close_loops(recording, options)
     _print_closures(result)

@@ -66,7 +66,7 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None
 
-    from synthetic.print_sheets import write_sheets
+    from synthetic.printable_target_sheets import write_sheets
 
     sheets = write_sheets(design, out, arguments.paper)
     for line in sheets.lines:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
+    make_quantity_parser,
     parse_length_and_angle,
-    quantity_parser,
 )
 from rig.cli.shared.input_file_options_and_loading import add_limb_options, limb_source
 from rig.cli.shared.shared_output_controller_hand_and_worker_options import SEED, add_rig_toml_port_and_trace_arguments
@@ -58,7 +58,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--in-motion",
         metavar="3mm/s",
-        type=quantity_parser("m/s", "mm/s"),
+        type=make_quantity_parser("m/s", "mm/s"),
         help="expose during the moves, at this speed of the strut that moves most (a plain number is in mm/s); "
         "the plan's places are passed "
         "without waiting; rig measure and rig calibrate find by how much the clocks of cameras and controller differ",
@@ -119,12 +119,12 @@ def run(arguments: Namespace) -> None:
             print(line)
         return
     from rig.cli.shared.terminal_run_display_and_printed_controller_status import (
+        is_operator_at_terminal,
         open_terminal_and_page_run_displays,
-        terminal_can_answer,
     )
 
     out, asked = arguments.out, arguments.settle == "ask"
-    if asked and arguments.page is None and not terminal_can_answer():
+    if asked and arguments.page is None and not is_operator_at_terminal():
         raise RigError("--settle ask takes somebody who answers: a terminal in the foreground, or --page")
     frames = planned.carry_out(out, partial(open_terminal_and_page_run_displays, arguments.page, asked), print)
     if planned.options.uses_cameras(design):
@@ -185,14 +185,17 @@ def _print_plan(planned: PlannedRun) -> None:
     """Check the whole plan from home and print what it would do."""
     import numpy as np
 
-    from rig.driving.axis_display_units_and_controller_counts import greatest_distance_text, values_text
+    from rig.driving.axis_display_units_and_controller_counts import axis_values_text, greatest_distance_text
 
     m, steps, travel = planned.design.mechanism, planned.steps, planned.travel()
     cameras = planned.design.cameras if planned.options.cameras else ()
     for k, step in enumerate(steps):
         exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
         exposed = exposed if step.speed is None else "exposed on the way"
-        print(f"step {k + 1}: {values_text(step.goal, m)}, {greatest_distance_text(travel[k], m, 1)} to go, {exposed}")
+        print(
+            f"step {k + 1}: {axis_values_text(step.goal, m)}, {greatest_distance_text(travel[k], m, 1)} to go, "
+            f"{exposed}"
+        )
     pixels = sum(camera.width * camera.height for camera in cameras)
     seconds = planned.seconds()
     frames, most = planned.frames, ""

@@ -24,8 +24,8 @@ def begin_urgent_stop_of_command_words(words: list[str]) -> UrgentStop | RigErro
     understood here, and nothing was done
     """
     with real_time_priority():
-        from rig.driving.clock import SystemClock
         from rig.driving.controller_address_and_urgent_stop import UrgentStop, controller_address_in_rig_toml
+        from rig.driving.driving_clock import SystemClock
         from rig.errors import RigError
 
         stated = rig_toml_and_port_in_stop_words(words)

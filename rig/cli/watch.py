@@ -87,7 +87,7 @@ def _watch(arguments: Namespace) -> int:
     progress = Progress()
     calibration, own = (
         calibration_file.load(arguments.calibration),
-        visit_history.calibration_digest(arguments.calibration),
+        visit_history.calibration_file_sha256(arguments.calibration),
     )
     retained = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
     page = page_path(arguments)

@@ -54,7 +54,7 @@ def installation_inventory() -> list[InventoryItem]:
         list_genicam_producers(),
         list_serial_ports_and_access_rights(),
         *working_and_temporary_folder_free_space(),
-        usable_cores_and_thread_environment_variables(),
+        usable_cores_and_thread_limits(),
     ]
 
 
@@ -186,7 +186,7 @@ def working_and_temporary_folder_free_space() -> Iterator[InventoryItem]:
         yield InventoryItem(name, "ok" if not todo else "absent", text, todo)
 
 
-def usable_cores_and_thread_environment_variables() -> InventoryItem:
+def usable_cores_and_thread_limits() -> InventoryItem:
     """Cores that this process may use, and environment variables that limit its threads."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]

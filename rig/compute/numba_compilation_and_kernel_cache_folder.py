@@ -67,16 +67,16 @@ def kernel_cache_folder() -> Path | None:
     return (
         None
         if os.access(source_cache if source_cache.is_dir() else HERE, os.W_OK)
-        else user_cache_folder(f"{HERE.parent} cannot be written")
+        else user_kernel_cache_folder(f"{HERE.parent} cannot be written")
     )
 
 
-def private_folder_or_user_cache(folder: Path) -> Path:
+def private_or_user_kernel_cache_folder(folder: Path) -> Path:
     """The folder itself where it is private, else the user's private cache folder.
 
     Private: writable by this user and root only.
     """
-    return folder if is_private_folder(folder) else user_cache_folder(f"others can write to {folder}")
+    return folder if is_private_folder(folder) else user_kernel_cache_folder(f"others can write to {folder}")
 
 
 @cache
@@ -94,7 +94,7 @@ def is_private_folder(folder: Path) -> bool:
 
 
 @cache
-def user_cache_folder(reason: str) -> Path:
+def user_kernel_cache_folder(reason: str) -> Path:
     """The user's private cache folder for compiled kernels.
 
     Below the home, else a temporary one.
@@ -216,7 +216,7 @@ class Kernel:
             before = settings.CACHE_DIR
             try:
                 source_cache = Path(inspect.getfile(self._function)).parent / "__pycache__"
-                folder = private_folder_or_user_cache(Path(settings.CACHE_DIR or source_cache))
+                folder = private_or_user_kernel_cache_folder(Path(settings.CACHE_DIR or source_cache))
                 if folder != source_cache:
                     settings.CACHE_DIR = str(folder)
                 compiled: Any = numba.njit(**self._options)(self._function)

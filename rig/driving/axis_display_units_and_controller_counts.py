@@ -52,7 +52,7 @@ def value_text(value: float, unit: str, digits: int = 3) -> str:
     return f"{value * scale:.{digits}f} {name}"
 
 
-def values_text(values: Floats, mechanism: Mechanism, digits: int = 4) -> str:
+def axis_values_text(values: Floats, mechanism: Mechanism, digits: int = 4) -> str:
     """Text of axis values (axes,) m or rad.
 
     In mm or degrees, the unit last where all have one.
@@ -76,7 +76,7 @@ def greatest_distance_text(difference: Floats, mechanism: Mechanism, digits: int
     )
 
 
-def name_of_thousandth_of_axis_units(mechanism: Mechanism) -> str:
+def axis_milliunit_name(mechanism: Mechanism) -> str:
     """Name of a thousandth of the axes' units: mm, mrad, or both."""
     return " or ".join(f"m{unit}" for unit in dict.fromkeys(mechanisms.axis_units(mechanism)))
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving import move_profiles_and_path_check, protocols
-from rig.driving.axis_display_units_and_controller_counts import axes_word, greatest_distance_text, values_text
-from rig.driving.clock import Clock, SystemClock
+from rig.driving.axis_display_units_and_controller_counts import axes_word, axis_values_text, greatest_distance_text
 from rig.driving.controller_status_and_limits import (
     ANEW,
     CANNOT_HOME,
@@ -29,10 +28,11 @@ from rig.driving.controller_status_and_limits import (
     operator_advice,
     tighter_controller_limit_warnings,
 )
+from rig.driving.driving_clock import Clock, SystemClock
 from rig.driving.move_profiles_and_path_check import speed_fraction_of_move, straight_move_segment
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Dialogue, Segment, State, Verdict
 from rig.driving.request_and_answer_exchange_with_controller import Link, Port, bytes_as_text
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_port
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_controller_port
 from rig.errors import ControllerFault, LinkLost, MotionError, NoAnswer, PositionLost, RigError, Stalled, Unreachable
 from rig.model import mechanisms
 from rig.model.design import Design
@@ -74,7 +74,7 @@ class Driver:
         self._protocol = protocols.protocol_of_controller(c, self.mechanism)
         self.link = Link(
             self._protocol,
-            opener or (lambda: open_port(c.port, c.usb, c.baudrate, self.clock)),
+            opener or (lambda: open_controller_port(c.port, c.usb, c.baudrate, self.clock)),
             self.clock,
             c.timeout,
             trace,
@@ -403,7 +403,7 @@ class Driver:
         return f"{state.fault or state.activity} ({state.controller_text}){advice}"
 
     def _text(self, values: Floats) -> str:
-        return values_text(values, self.mechanism)
+        return axis_values_text(values, self.mechanism)
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

@@ -11,18 +11,18 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
-from rig.driving.clock import Clock
 from rig.driving.controller_lock_and_stop_of_its_holder import (
     ControllerLock,
     ask_lock_holder_to_end,
     await_end_of_lock_holder,
 )
+from rig.driving.driving_clock import Clock
 from rig.driving.newport_function_call_tcp_port import NewportPort
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
     ChannelAccessPort,
     SerialPort,
-    encode_frame,
-    open_port,
+    encode_numbered_frame,
+    open_controller_port,
 )
 from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort
 from rig.errors import FileError
@@ -48,7 +48,7 @@ def epics_motor_record_stop_bytes(motors: Iterable[str]) -> bytes:
     As a ChannelAccessPort takes them: all of those that are there.
     What is not there is named when the protocol's own stop follows.
     """
-    return encode_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")
+    return encode_numbered_frame(">", 0, f"PUT {' '.join(f'{motor}.STOP=1' for motor in motors)}")
 
 
 class ControllerAddress(NamedTuple):
@@ -144,7 +144,7 @@ def stop_controller_urgently_and_hold_it(address: ControllerAddress, clock: Cloc
     with ExitStack() as stack:
         lock = ControllerLock(address.port, address.usb)
         stack.push(lock)
-        port = open_port(address.port, address.usb, address.baudrate, clock)
+        port = open_controller_port(address.port, address.usb, address.baudrate, clock)
         stack.callback(port.close)
         data = address.urgent_stop()
         port.write(data)

@@ -23,7 +23,7 @@ from contextlib import suppress
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.errors import LinkLost, RigError
 from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS
 

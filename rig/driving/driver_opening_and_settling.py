@@ -14,13 +14,13 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import Clock, SystemClock
 from rig.driving.controller_address_and_urgent_stop import ControllerAddress, StoppedController
 from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock
 from rig.driving.controller_status_and_limits import ControllerStatus
+from rig.driving.driving_clock import Clock, SystemClock
 from rig.driving.protocols import protocol_of_controller
 from rig.driving.request_and_answer_exchange_with_controller import Port
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_port
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import open_controller_port
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import refuse_programs_of_untrusted_rig_toml
 from rig.errors import FileError, RigError
 from rig.formats.numbers_and_units import parse_quantity
@@ -93,10 +93,10 @@ def open_driver(
 def _opener(design: Design, stopped: StoppedController | None, clock: Clock) -> Callable[[], Port]:
     """Opens the controller's port: the one that is open already, once, and it anew after that."""
     c, opened = design.driver(), [] if stopped is None else [stopped.port]
-    return lambda: opened.pop() if opened else open_port(c.port, c.usb, c.baudrate, clock)
+    return lambda: opened.pop() if opened else open_controller_port(c.port, c.usb, c.baudrate, clock)
 
 
-def settled_status(
+def await_settled_status(
     driver: Driver, clock: Clock, timeout: float = 60.0, poll_interval: float = 0.05
 ) -> ControllerStatus:
     """ControllerStatus once the axes have settled, which is awaited.

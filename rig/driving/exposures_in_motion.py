@@ -14,8 +14,8 @@ from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras
     Frame,
     SynchronisedCameras,
 )
-from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
+from rig.driving.driving_clock import Clock
 from rig.driving.run_journal import PositionReports
 from rig.errors import RigError
 from rig.recording.exposures_and_image_files import ONE_FRAME

@@ -19,9 +19,9 @@ from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras
     StampDifferences,
     SynchronisedCameras,
 )
-from rig.driving.clock import Clock
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
+from rig.driving.driving_clock import Clock
 from rig.driving.exposures_in_motion import (
     FramesDuringMove,
     interpolated_reported_strut_lengths,

@@ -15,9 +15,9 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.driving.axis_display_units_and_controller_counts import (
     SHOWN,
     axes_word,
+    axis_values_text,
     greatest_distance_text,
     value_text,
-    values_text,
 )
 from rig.driving.controller_status_and_limits import (
     OUT_OF_RANGE,
@@ -99,7 +99,7 @@ def speed_fraction_of_move(
     share = float((travel / controller.max_speed).max()) * speed / float(travel.max())
     if not 0 < share <= 1 + 1e-9:
         stated = value_text(speed, mechanisms.axis_units(mechanism)[int(np.argmax(travel))])
-        greatest = values_text(controller.max_speed, mechanism)
+        greatest = axis_values_text(controller.max_speed, mechanism)
         raise ValueError(f"{stated} per second exceeds the axes' max_speed, {greatest} per second")
     return min(share, 1.0)
 
@@ -214,7 +214,8 @@ def _require_safe_platform_path(
             "not moved: the path comes too near a singularity",
             [k],
             [
-                f"{place}{share[k]:.0%} along, at {values_text(path[k], mechanism)}: {least[k]:.3f} of the Jacobian's "
+                f"{place}{share[k]:.0%} along, at {axis_values_text(path[k], mechanism)}: {least[k]:.3f} of the "
+                "Jacobian's "
                 f"least singular value at home is left, [controller] margin requires {singularity_margin:g}"
             ],
         )

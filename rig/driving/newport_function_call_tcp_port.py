@@ -13,8 +13,8 @@ import select
 import threading
 from collections import deque
 
-from rig.driving.clock import Clock
-from rig.driving.tcp_socket_by_url import connected_tcp_socket
+from rig.driving.driving_clock import Clock
+from rig.driving.tcp_socket_by_url import connect_tcp_socket
 from rig.errors import LinkLost
 
 SCHEME = "xps"
@@ -29,7 +29,7 @@ class _Connection:
     """A connection that is sent one call at a time. Raises LinkLost where nothing listens."""
 
     def __init__(self, url: str) -> None:
-        self.socket = connected_tcp_socket(url, PATIENCE)
+        self.socket = connect_tcp_socket(url, PATIENCE)
         self._calls: deque[tuple[str, str]] = deque()  # (number, call); the first has been sent
         self._in = ""
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol as Interface
 from typing import TextIO, TypeVar
 
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Dialogue, Exchange, Lines, Protocol
 from rig.errors import LinkLost, NoAnswer, Stopped
 

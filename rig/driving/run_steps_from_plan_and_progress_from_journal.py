@@ -71,7 +71,7 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
     return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
 
 
-def steps_exposed_during_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
+def steps_with_exposures_in_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
     """Steps of a plan as moves at a speed (m/s) with exposures during each.
 
     The speed is that of the fastest strut.
@@ -191,7 +191,7 @@ def start_position_of_step(journal_rows: list[Row], steps: tuple[Step, ...], ind
     return steps[index - 1].goal if index else np.array(journal_rows[0].position)
 
 
-def lost_position_reason(
+def position_loss_reason(
     progress: Progress, position: Floats, tolerance: float, controller_restarted: bool, can_home: bool, unit: str = "mm"
 ) -> str:
     """Reason why the position (axes,) m or rad counts as lost, "" where it does not.

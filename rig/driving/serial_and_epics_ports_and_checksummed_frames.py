@@ -28,9 +28,9 @@ from urllib.parse import quote
 import serial
 
 from rig.driving import newport_function_call_tcp_port, universal_robots_real_time_interface_port
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.newport_function_call_tcp_port import NewportPort
-from rig.driving.tcp_socket_by_url import connected_tcp_socket
+from rig.driving.tcp_socket_by_url import connect_tcp_socket
 from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort
 from rig.errors import LinkLost, MissingLibrary
 from rig.model.protocol_port_and_user_program_name_checks import port_problem
@@ -158,7 +158,7 @@ class Frame(NamedTuple):
     text: str
 
 
-def encode_frame(direction: str, number: int | None, text: str) -> bytes:
+def encode_numbered_frame(direction: str, number: int | None, text: str) -> bytes:
     """Encode a numbered text as a frame. direction : ">" to the controller, "<" from it."""
     body = f"{'-' if number is None else number} {text}"
     return f"{direction}{body}*{_checksum(body)}\n".encode("ascii")
@@ -198,7 +198,7 @@ class ChannelAccessPort:
             raise MissingLibrary("EPICS needs the package caproto: pip install 'rig[epics]'") from None
         self._ca: Any = caproto
         self._url, self._clock = url, clock
-        self._socket = connected_tcp_socket(url, PATIENCE)
+        self._socket = connect_tcp_socket(url, PATIENCE)
         self._circuit = caproto.VirtualCircuit(our_role=caproto.CLIENT, address=self._socket.getpeername(), priority=0)
         self._channels: dict[str, Any] = {}
         self._replies: dict[int, Any] = {}  # by ioid
@@ -245,7 +245,7 @@ class ChannelAccessPort:
         if verb == "PUT":
             refused += [f"no write access to {name}: see the IOC's access security" for name in self._locked(names)]
         if refused:
-            self._out += encode_frame("<", number, f"ERR {quote('; '.join(refused))}")
+            self._out += encode_numbered_frame("<", number, f"ERR {quote('; '.join(refused))}")
             return
         writes: list[Any] = [self._put(name, values[name]) for name in names if verb == "PUT" and not is_stop]
         kinds = self._ca.ChannelType
@@ -274,10 +274,10 @@ class ChannelAccessPort:
             failed = [reply for reply in (*errors, *replies) if isinstance(reply, self._ca.ErrorResponse)]
             if failed:
                 text = failed[0].error_message.decode("utf-8", "replace").strip("\0")
-                self._out += encode_frame("<", number, f"ERR {quote(text)}")
+                self._out += encode_numbered_frame("<", number, f"ERR {quote(text)}")
             else:
                 words = " ".join(_shown(reply.data[0]) for reply in replies)
-                self._out += encode_frame("<", number, f"OK {words}")
+                self._out += encode_numbered_frame("<", number, f"OK {words}")
 
     def _connect(self, names: list[str], connected: Callable[[str], None] | None) -> list[str]:
         """Make channels of names where they are not yet. Returns why there is none, a line for each without one.
@@ -348,7 +348,7 @@ def _shown(value: object) -> str:
     return repr(float(str(value)))
 
 
-def open_port(
+def open_controller_port(
     port: str, usb: str, baudrate: int, clock: Clock
 ) -> SerialPort | ChannelAccessPort | NewportPort | UniversalRobotsPort:
     """The open port of a controller. port, usb, baudrate : as [controller] states them

@@ -10,7 +10,7 @@ from rig.errors import LinkLost
 from rig.model.protocol_port_and_user_program_name_checks import USUAL_PORTS
 
 
-def connected_tcp_socket(url: str, patience: float) -> socket.socket:
+def connect_tcp_socket(url: str, patience: float) -> socket.socket:
     """TCP socket connected to the host and port of a URL.
 
     SCHEME://HOST or SCHEME://HOST:PORT; it delays nothing that is sent.

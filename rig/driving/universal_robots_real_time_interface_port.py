@@ -24,8 +24,8 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 
-from rig.driving.clock import Clock
-from rig.driving.tcp_socket_by_url import connected_tcp_socket
+from rig.driving.driving_clock import Clock
+from rig.driving.tcp_socket_by_url import connect_tcp_socket
 from rig.errors import LinkLost
 
 SCHEME = "ur"
@@ -71,7 +71,7 @@ class UniversalRobotsPort:
 
     def __init__(self, url: str, clock: Clock) -> None:
         self._url, self._clock = url, clock
-        self._socket = connected_tcp_socket(url, PATIENCE)
+        self._socket = connect_tcp_socket(url, PATIENCE)
         self._news = threading.Condition()
         self._in, self._out, self._lost, self._count = b"", b"", "", 0
         self._asked: deque[tuple[bytes, int]] = deque()  # (number, count of packets that answers it)

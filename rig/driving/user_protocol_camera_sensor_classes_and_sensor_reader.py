@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar, cast
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort
 from rig.errors import FileError, NoAnswer, RigError
 from rig.formats.local_and_remote_input_files import is_remote
@@ -29,7 +29,7 @@ from rig.formats.user_python_file_reading_and_running import (
     UserModule,
     line_in_file_of_error,
     line_of_class,
-    run_user_file,
+    load_user_module,
 )
 from rig.model.design import Design, SensorPort
 from rig.model.protocol_port_and_user_program_name_checks import is_user_file_or_package
@@ -139,7 +139,7 @@ def wrap_user_call_to_locate_errors(
 
 @lru_cache(16)
 def _module(path: Path) -> UserModule:
-    return run_user_file(path)
+    return load_user_module(path)
 
 
 def _package(name: str, group: str) -> UserModule:

@@ -3,4 +3,4 @@
 With parameters, and the motion and context that it reads.
 """
 
-from rig.effects.framework.effect import *  # noqa: F403  # all its names are an owner's
+from rig.effects.framework.effect_base_class import *  # noqa: F403  # all its names are an owner's

@@ -58,7 +58,7 @@ def nearest_known_word(word: str, known: Iterable[object], cutoff: float = 0.7) 
     return near[0] if near else None
 
 
-def name_problem(name: str) -> str | None:
+def rig_part_name_problem(name: str) -> str | None:
     """Problem of a name of a camera, target or channel, as text, or None."""
     if NAME.fullmatch(name):
         return None
@@ -185,8 +185,8 @@ class Entries:
     def identifier(self, key: Key) -> str:
         """The name of a camera, a target or the like."""
         value = self.text(key)
-        if name_problem(value):
-            self.fail(f"{self.name(key)}: {name_problem(value)}", key, value=value)
+        if rig_part_name_problem(value):
+            self.fail(f"{self.name(key)}: {rig_part_name_problem(value)}", key, value=value)
         return value
 
     @overload

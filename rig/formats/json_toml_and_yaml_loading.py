@@ -22,7 +22,7 @@ from rig.array_and_json_types import Json
 from rig.errors import FileError
 from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import read_text, require_schema, short_repr
-from rig.model.pose import pose_to_entry
+from rig.model.pose import pose_file_entry
 
 _SPACE = re.compile(r"[ \t]*")
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -277,7 +277,7 @@ def json_data(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, RigidTransform):
-        return pose_to_entry(value)
+        return pose_file_entry(value)
     if is_dataclass(value):
         return {part.name: json_data(getattr(value, part.name)) for part in fields(value)}
     return [json_data(one) for one in value] if isinstance(value, tuple | list) else value

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Json
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     Kinds,

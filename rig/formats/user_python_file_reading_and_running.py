@@ -82,7 +82,7 @@ def run_user_text_as_module(text: str, path: Path) -> ModuleType:
     return module
 
 
-def run_user_file(path: Path) -> UserModule:
+def load_user_module(path: Path) -> UserModule:
     """UserModule (text, digest and module) of a user's Python file, which is run.
 
     Raises FileError, with the line, where it cannot be read or run.

@@ -182,9 +182,7 @@ def gravity_at_exposures(
     )
 
 
-def log_times_with_more_for_small_tilt_steps(
-    t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]
-) -> Floats:
+def log_times_refined_for_tilt_steps(t: Floats, tilts: tuple[BaseTilt, ...], channels: Mapping[str, Floats]) -> Floats:
     """Log times (m,) s, with more inserted so that tilt steps are small.
 
     No tilt turns by more than LARGEST_TURN from one to the next.

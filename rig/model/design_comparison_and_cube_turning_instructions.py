@@ -83,7 +83,7 @@ COLUMN = "turned_"  # before a cube's name: column of a plan in time
 WORDS = ("as it was", "turned by a quarter turn", "turned by a half turn", "turned by three quarter turns")
 
 
-def find_cube(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+def find_cube_of_text(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
     """Find the cube that a text names or numbers among targets.
 
     Returns (name, None), or ("", problem in words)
@@ -116,7 +116,7 @@ def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[st
     """
     if not word.startswith(TURN):
         return word, None
-    name, problem = find_cube(word.removeprefix(TURN), targets)
+    name, problem = find_cube_of_text(word.removeprefix(TURN), targets)
     return TURN + name if problem is None else "", problem
 
 
@@ -126,7 +126,7 @@ def design_with_turned_cubes(design: Design, quarter_turns: Mapping[str, int]) -
     Raises RigError for an unknown cube.
     """
     for name in quarter_turns:
-        _, problem = find_cube(name, design.targets)
+        _, problem = find_cube_of_text(name, design.targets)
         if problem:
             raise RigError(problem)
     return replace(

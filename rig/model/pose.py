@@ -64,7 +64,7 @@ def log(T: RigidTransform) -> Floats:
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
 
 
-def pose_to_entry(T: RigidTransform) -> dict[str, list[float]]:
+def pose_file_entry(T: RigidTransform) -> dict[str, list[float]]:
     """Pose as an entry of a file, {position, rotvec}.
 
     In m and rad.

@@ -170,7 +170,7 @@ def simplex_configurations(strokes: Floats, shells: int = 2, fill: float = FILL)
     )
 
 
-def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
+def single_axis_pose_commands(design: Design, per_axis: int = 9) -> Floats:
     """Commands (6 per_axis, axes) of pose moves along and about single axes.
 
     X, Y, Z through home.
@@ -181,7 +181,7 @@ def single_axis_pose_moves(design: Design, per_axis: int = 9) -> Floats:
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
-def moves_combining_translation_and_rotation(design: Design, per_pair: int = 6) -> Floats:
+def combined_translation_rotation_commands(design: Design, per_pair: int = 6) -> Floats:
     """Commands (18 per_pair, axes) of moves that combine a translation and a rotation.
 
     Through home.

@@ -24,7 +24,7 @@ from scipy.spatial import ConvexHull
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 
 FELT = 1e-9  # of the largest entry; a joint that a direction loads less than that does not limit it

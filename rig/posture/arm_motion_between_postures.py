@@ -16,7 +16,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import arm_force_transmission_and_exertable_wrench, null_space_posture_search
 from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective

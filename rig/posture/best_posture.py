@@ -15,7 +15,7 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_no_couplings, require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,
@@ -217,7 +217,7 @@ def _best_of_searches(
     """
     objective, fixed, above = options.maximised, options.fixed, options.above
     if null_space_posture_search.redundant_joint_count(arm, fixed) < 1 and isinstance(objective, ExertionObjective):
-        found = {"solutions": null_space_posture_search.given_postures_as_search_result(starts, arm, objective)}
+        found = {"solutions": null_space_posture_search.search_result_of_given_postures(starts, arm, objective)}
         return found, "solutions", int(found["solutions"].value.argmax())
     found = {"gradient": null_space_posture_search.gradient_search(starts, arm, objective, fixed, above)}
     if above is not None:
@@ -244,7 +244,7 @@ def _joint_solutions(first: Floats, wanted: RigidTransform, arm: Arm) -> Floats:
     """(k, n) joint solutions of a pose within the limits: the first, and others far and wide."""
     many = RigidTransform.from_matrix(np.tile(wanted.as_matrix(), (STARTS, 1, 1)))
     guess = np.random.default_rng(SEED).uniform(arm.limits[:, 0], arm.limits[:, 1], (STARTS, len(first)))
-    q, remainder = mechanism.solve_arm_inverse_by_damped_least_squares(many, arm, guess)
+    q, remainder = mechanism.damped_least_squares_arm_inverse_and_error(many, arm, guess)
     inside = (remainder <= mechanism.GOOD) & (mechanism.signed_limit_excess(q, arm) == 0).all(axis=1)
     return np.vstack([first, q[inside]])
 

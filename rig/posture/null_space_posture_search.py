@@ -16,7 +16,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import arm_force_transmission_and_exertable_wrench
 from rig.posture.arm_force_transmission_and_exertable_wrench import ExertionObjective, TransmissionObjective
@@ -51,7 +51,7 @@ class SearchResult:
     steps: int
 
 
-def given_postures_as_search_result(
+def search_result_of_given_postures(
     q: Floats, arm: Arm, objective: TransmissionObjective | ExertionObjective
 ) -> SearchResult:
     """Given postures q (m, n) rad as a SearchResult, without a search.

@@ -14,7 +14,7 @@ from rig.errors import RigError
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.posture import null_space_posture_search
 from rig.recording.corner_and_pose_csv_tables import write_table
 

@@ -28,8 +28,8 @@ from rig.formats.checked_toml_and_json_entries import nearest_known_word
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.formats.rig_toml.arm_dynamics_entries import ArmDynamics
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import LinkMasses
 from rig.posture.arm_force_transmission_and_exertable_wrench import DIRECTIONS
 

@@ -27,12 +27,12 @@ from rig.recording.exposures_and_image_files import Exposures
 HAND = "hand"
 
 
-def frame_column(rows: Table, known_frames: set[int] | None) -> Integers:
+def frame_numbers_of_rows(rows: Table, known_frames: set[int] | None) -> Integers:
     """Frame numbers (n,) of a table's rows. Raises FileError for one unknown, and for one listed twice."""
-    return frame_and_hand_columns(rows, known_frames, ())[0]
+    return frame_and_hand_numbers_of_rows(rows, known_frames, ())[0]
 
 
-def frame_and_hand_columns(
+def frame_and_hand_numbers_of_rows(
     rows: Table, known_frames: set[int] | None, hands: tuple[str, ...]
 ) -> tuple[Integers, Integers | None]:
     """Frame numbers (n,) of a table's rows, and hand numbers (n,) where hands have names.
@@ -267,7 +267,7 @@ def load_poses(
     )
     if hand is not None:
         rows, hands = rows_of_hand(rows, hands, hand), ()
-    frame, number = frame_and_hand_columns(rows, known_frames, hands)
+    frame, number = frame_and_hand_numbers_of_rows(rows, known_frames, hands)
     values, k = np.zeros((len(rows), 6)), 3 if positions_only else 6
     values[:, :k] = form.units.si(rows.matrix(POSE_COLUMNS[:k]), POSE_UNITS[:k])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
@@ -293,10 +293,10 @@ def load_instrument_poses(
         return load_poses(path, known_frames, alone, form=form, hands=hands)
     if kind == "direction":
         rows, directions = read_poses_csv_of_directions(path, form)
-        return Poses(frame_column(rows, known_frames), poses_pointing_along(directions), None)
+        return Poses(frame_numbers_of_rows(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))
-    frame, values, nothing = frame_column(rows, known_frames), rows.matrix(columns), np.zeros((len(rows), 3))
+    frame, values, nothing = frame_numbers_of_rows(rows, known_frames), rows.matrix(columns), np.zeros((len(rows), 3))
     if kind == "orientation":
         return Poses(frame, pose(nothing, values), None)
     _plausible(rows, values, columns)

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, local_and_remote_input_files
-from rig.formats.checked_toml_and_json_entries import name_problem
+from rig.formats.checked_toml_and_json_entries import rig_part_name_problem
 from rig.formats.csv_and_parquet_tables_and_time_origin import Table, TimeOrigin
 from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.numbers_and_units import count_text
-from rig.formats.output_files import require_complete_folder, write_bytes, write_text
+from rig.formats.output_files import require_folder_of_uninterrupted_command, write_bytes, write_text
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import COUPLED, hand_names
@@ -27,7 +27,7 @@ from rig.model.base_and_link_tilt_sensors import (
     BaseTilt,
     base_gravity_channels_under_tilts,
     has_gravity_sensor_channels,
-    log_times_with_more_for_small_tilt_steps,
+    log_times_refined_for_tilt_steps,
 )
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
@@ -189,7 +189,7 @@ def load_recording(folder: str | Path, skip_unreadable: bool = False) -> Recordi
             folder,
             "is a file, not a recording folder" if local_and_remote_input_files.exists(folder) else "no such folder",
         )
-    require_complete_folder(folder)
+    require_folder_of_uninterrupted_command(folder)
     if local_and_remote_input_files.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_from_rig_toml.load_design(folder / "rig.toml")
@@ -269,7 +269,7 @@ def sensors_with_gravity(gravity: Floats, tilts: tuple[BaseTilt, ...], sensors: 
             f"rig.toml states that the base tilts by {', '.join(missing)} ([[environment.tilt]]), which sensors.csv "
             "does not have: log it, or gravity in the base frame as " + ", ".join(GRAVITY)
         )
-    t = log_times_with_more_for_small_tilt_steps(sensors.t, tilts, sensors.channels)
+    t = log_times_refined_for_tilt_steps(sensors.t, tilts, sensors.channels)
     channels: dict[str, Floats] = {
         name: np.asarray(np.interp(t, sensors.t, values)) for name, values in sensors.channels.items()
     }
@@ -354,8 +354,8 @@ def _sensors(path: Path, origin: TimeOrigin, exposures: Exposures) -> Sensors | 
 def _sensor_rows(rows: Table, origin: TimeOrigin) -> Sensors:
     t, channels = rows.increasing_times(origin), tuple(name for name in rows.columns if name != "t")
     for name in channels:
-        if name_problem(name):
-            raise FileError(rows.path, f"column {name_problem(name)}", 1, rows.columns.index(name) + 1, name)
+        if rig_part_name_problem(name):
+            raise FileError(rows.path, f"column {rig_part_name_problem(name)}", 1, rows.columns.index(name) + 1, name)
     return Sensors(t, {name: rows.numbers(name) for name in channels})
 
 

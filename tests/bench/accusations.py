@@ -19,7 +19,7 @@ from rig.checks.design_value_camera_and_image_mistakes_and_all_file_checks impor
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Camera
 from rig.model.pose import exp
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording

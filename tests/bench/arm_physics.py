@@ -16,17 +16,17 @@ import numpy as np
 
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis, refit_arm_with_findings
 from calib.files.calibration_file import calibration_with_provenance
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import certify_arm
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import certify_arm
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
@@ -134,8 +134,10 @@ def _driven(rec: Recording, secret: World, physics: bool) -> tuple[np.ndarray, n
     )
     seen = np.stack([sampled.samples.commanded.min(axis=0), sampled.samples.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, 2 * POSES, REACH, 17)
-    values = np.linalg.svd(error_model_and_observations.joint_jacobian(q, secret.true.mechanism), compute_uv=False)
-    T = error_model_and_observations.predicted_target_poses(
+    values = np.linalg.svd(
+        arm_error_model_and_instrument_observations.joint_jacobian(q, secret.true.mechanism), compute_uv=False
+    )
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(
         q[values[:, -1] > NEAR_SINGULAR * values[:, 0]][:POSES], done.correction.fitted
     )  # its own idea of how the hand is turned
     made = commands_along_route(calibration, T, np.zeros(len(seen)))

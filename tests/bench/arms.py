@@ -12,12 +12,15 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.files import calibration_file
-from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
-from calib.models.arm.error_model_and_observations import pose_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
+from calib.models.arm import (
+    arm_base_and_tool_placement_in_instrument_frame,
+    arm_error_model_and_instrument_observations,
+)
+from calib.models.arm.arm_error_model_and_instrument_observations import pose_observations
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,
     null_space_posture_search,
@@ -81,7 +84,7 @@ def _closed_forms():
         ]
         numeric = (
             _timed(
-                lambda T=T, q=q, arm=arm: mechanism.solve_arm_inverse_by_damped_least_squares(
+                lambda T=T, q=q, arm=arm: mechanism.damped_least_squares_arm_inverse_and_error(
                     T[:2000], arm, q[:2000] + 0.05, starts=0
                 ),
                 time.process_time,
@@ -128,7 +131,7 @@ def _identification():
     rng = np.random.default_rng(50)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 200, rng, 0.5)
-    want = error_model_and_observations.predicted_target_poses(q, true)
+    want = arm_error_model_and_instrument_observations.predicted_target_poses(q, true)
     for name, seen in (
         ("tracker, 6D probe, 20 um", pose_observations(worlds.tracked(true, UR10, 120, rng))),
         ("CMM, ball, 20 um", worlds.touched(true, UR10, 120, rng)),
@@ -145,7 +148,7 @@ def _identification():
                 seen, start, True, seen.kind != "distance"
             ),
         )
-        got = error_model_and_observations.predicted_target_poses(q, found.arm)
+        got = arm_error_model_and_instrument_observations.predicted_target_poses(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)
         what = "length" if seen.kind == "distance" else "position"
@@ -164,7 +167,7 @@ def _real():
             )
         )
         held = calibration_file.load(out).held_out
-    from calib.models.arm.certification import certify_arm
+    from calib.models.arm.arm_certification import certify_arm
     from calib.samples.commanded_and_measured_pose_samples import sample_recording
     from rig.recording import recording_folder
 

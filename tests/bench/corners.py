@@ -25,8 +25,8 @@ from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.drawn_observations import nees, scene
 from vision.corners.marker_detection_and_corner_fit import detect_markers
-from vision.predict import marker_map
-from vision.recording_adjustment import measure_observations
+from vision.marker_corner_prediction import marker_map
+from vision.recording_adjustment_with_hand_and_stages import measure_observations
 
 INSIDE = {2: 5.991, 6: 12.592}  # chi-square that 95 % stay below
 RECORDINGS, FRAMES = 32, 24

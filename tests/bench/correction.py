@@ -9,8 +9,8 @@ import interpn
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from calib.correction.correction import Correction, require_commands_in_axis_ranges
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
+from calib.correction.machine_correction import Correction, require_commands_in_axis_ranges
 from rig.model.mechanisms import hexapod
 from tests.bench.forward_kinematics import mechanism_of_bench
 

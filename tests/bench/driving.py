@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort

@@ -117,7 +117,7 @@ def _rendered(design, rng):
     from synthetic import rig_meshes
     from synthetic.ideal_image_renderer import SAMPLES, Renderer
     from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
-    from vision.predict import expected_marker_rows_and_corners_in_image, marker_map
+    from vision.marker_corner_prediction import expected_marker_rows_and_corners_in_image, marker_map
 
     renderer, markers, out = Renderer(rig_meshes.rig_and_background_meshes(design), design), marker_map(design), {}
     scenes = []
@@ -172,7 +172,7 @@ def _main(reach):
 
     edge_pixels.REACH = reach
     from vision.corners import edge_spread_function as spread
-    from vision.predict import marker_map
+    from vision.marker_corner_prediction import marker_map
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"

@@ -13,9 +13,9 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
-    correction_with_field,
     fit_correction_summand_field,
     fitted_or_nominal_geometry,
+    identified_geometry_correction_with_field,
     measured_correction_summands,
 )
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis
@@ -35,7 +35,7 @@ def by_field(sampled, design, kind) -> Calibration:
     """Calibration of KSF by a way of extending it alone, on the nominal model."""
     samples, nominal = sampled.samples, design.mechanism
     found = fitted_or_nominal_geometry(samples, nominal, True)
-    correction = correction_with_field(
+    correction = identified_geometry_correction_with_field(
         nominal, found, fit_correction_summand_field(measured_correction_summands(samples, nominal), kind)
     )
     return Calibration(

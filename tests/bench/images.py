@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import platform_effect_signal_to_noise
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import (
     diagnosis_report,
     write_diagnosis_json_and_simulation_files,
 )
@@ -26,9 +26,9 @@ from rig.recording.recording_folder import Recording
 from synthetic import blind_diagnosis_score, random_blind_platform_cases_with_truth
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.vision.drawn_observations import nees
-from tests.vision.test_recording_adjustment import joint_chi2
-from vision.corner_observations import Observations
-from vision.predict import Sightings, State, marker_map, predict_sightings
+from tests.vision.test_recording_adjustment_with_hand_and_stages import joint_chi2
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import Sightings, State, marker_map, predict_sightings
 
 SEEDS = {"nothing": 7001, "one": 7302}  # by what is hidden
 RECORDINGS = {"nothing": 24, "one": 36}

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
-from calib.correction.correction import fit_geometry_and_remainder_of_correction
-from calib.models.platform.identification import pose_parameter_jacobian
+from calib.certification.held_out_pose_error_statistics import compare_errors, errors_before_and_after_correction
+from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
+from calib.models.platform.platform_identification import pose_parameter_jacobian
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference

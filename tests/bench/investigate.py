@@ -29,7 +29,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import e
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Recording

@@ -26,17 +26,21 @@ from tests.vision.drawn_observations import scene
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import crossvalidate_adjustment
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     estimate_after_step,
-    offset_from_stated,
+    estimate_offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_and_target_displacements import compare_stated_and_adjusted_places
-from vision.corner_observations import observations_from_corners, whitener_of_observations
+from vision.corner_observations_and_merging import observations_from_corners, whitener_of_observations
 from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.lenses import calibration_board_corner_detection_in_photograph as boards
-from vision.lenses.lens_calibration import calibrate_lens, cross_validate_lens, observations_from_board_views
-from vision.predict import MarkerMap, State, marker_map, predict_corners
-from vision.recording_adjustment import measure_observations
+from vision.lenses.lens_calibration_from_board_views import (
+    calibrate_lens,
+    cross_validate_lens,
+    observations_from_board_views,
+)
+from vision.marker_corner_prediction import MarkerMap, State, marker_map, predict_corners
+from vision.recording_adjustment_with_hand_and_stages import measure_observations
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
 FEW = 3  # frames that SciPy, with differences for derivatives, is asked to adjust
@@ -202,7 +206,7 @@ def _scipys(observations, begin, stated):
     def residual(p):
         moved = estimate_after_step(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
         seen = W(observations.uv - predict_corners(observations, moved.state)[0]).ravel()
-        return np.r_[seen, (u.prior * offset_from_stated(moved, stated, u))[u.prior > 0]]
+        return np.r_[seen, (u.prior * estimate_offset_from_stated(moved, stated, u))[u.prior > 0]]
 
     return (
         2

@@ -18,21 +18,21 @@ from calib.online.observer_of_run_frames import RunObserver, RunStop
 from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
 from calib.online.web_page_of_ongoing_run import RunPage
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import Frame, SynchronisedCameras
-from rig.driving.clock import SystemClock
 from rig.driving.driver_opening_and_settling import parse_settling
+from rig.driving.driving_clock import SystemClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.run_journal import Began, Journal
 from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
 from synthetic.image_simulation import Images
 from vision.reading.corner_reading_from_recording_images import read_image
 from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
-from vision.reading.parallel_image_map_marker_rendering_and_white_level import save_image
+from vision.reading.parallel_image_map_marker_images_and_white_level import save_image
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from calib.api.diagnose import diagnose
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import Report
 from docs.make.results import SCHEMA
 from rig.errors import RigError
 from rig.recording import frame_selection_and_content_hashes, recording_folder

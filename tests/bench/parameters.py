@@ -16,17 +16,18 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
     PLAUSIBLE,
     parameter_combinations_and_visibility,
 )
-from calib.models.platform.identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_optimal_configurations
+from calib.models.platform.platform_identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.hexapod_information_filter import Online
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
-from rig.formats.exporters import geometry_compensation_and_camera_file_exports
+from rig.formats.exporters import json_csv_linuxcnc_and_camera_file_exports
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
@@ -188,7 +189,7 @@ def _exports(design):
     true = random_true_machine_and_truth_file.random_true_machine(design, np.random.default_rng(0)).true
     commands = configuration_generators.sobol_configurations(true.mechanism.strut_range, 200, 0.9)
     theirs = genhex_forward(
-        geometry_compensation_and_camera_file_exports.genhexkins_settings(true.mechanism),
+        json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(true.mechanism),
         commands,
         design.mechanism.home,
         1e3,

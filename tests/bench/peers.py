@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model.calibration_board_layout_and_description_parsing import parse_board
 from rig.model.design import Camera
 from vision.lenses import calibration_board_corner_detection_in_photograph as boards
-from vision.lenses.lens_calibration import calibrate_lens, observations_from_board_views
+from vision.lenses.lens_calibration_from_board_views import calibrate_lens, observations_from_board_views
 
 BOARD = "charuco:7x5:0.03:0.022:DICT_5X5_100"
 MULTICALS = """common: {_type_: charuco, size: [7, 5], aruco_dict: 5X5_100, square_length: 0.03, marker_length: 0.022,

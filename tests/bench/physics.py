@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.rigs_with_unmodelled_physics import three_ways

@@ -19,7 +19,7 @@ import numpy as np
 
 from calib.api.diagnose import diagnose
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.recording import recording_folder
 from tests.truth import FAULTS, Case, draw, errors, record, rms
 from tests.truth.case import _seen

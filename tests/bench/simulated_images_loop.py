@@ -13,7 +13,7 @@ import numpy as np
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from synthetic import random_true_machine_and_truth_file, recording_simulation, rig_meshes
 from synthetic.ideal_image_renderer import SAMPLES

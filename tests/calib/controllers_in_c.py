@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_pose_space_map,
     fit_field,
@@ -24,8 +23,9 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
     SpacePart,
     SummedPasses,
 )
+from calib.correction.machine_correction import Correction
+from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
-from calib.models.arm.correction import ArmCorrection
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
 from calib.drift.choice_and_order_of_visit_configurations import choose_visit_configurations
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from rig.recording.recording_folder import Sensors
 from synthetic import random_true_machine_and_truth_file as world

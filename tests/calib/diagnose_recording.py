@@ -2,7 +2,7 @@
 
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report.diagnosis_page import figures_of_arm_or_platform, write_diagnosis_page
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 
 
 def diagnosis_of(recording, only=None, without=(), **options):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 
 
 def lifted(simulation, corners, number, corner, height):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.models.platform import closed_loop_equations
+from calib.models.platform import strut_loop_closure_equations
 from rig.model.design import Hexapod
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
@@ -47,8 +47,8 @@ def by_differences(m, T, step=1e-5):
         for side, sign in enumerate((-2, -1, 1, 2)):
             moved, R, t = p.copy(), start[:3, :3].copy(), start[:3, 3].copy()
             moved[k] += sign * h
-            assert closed_loop_equations.forward_kinematics_kernel(command, moved, R, t)
-            closed_loop_equations.pose_error_kernel(start[:3, :3], start[:3, 3], R, t, e[side])
+            assert strut_loop_closure_equations.forward_kinematics_kernel(command, moved, R, t)
+            strut_loop_closure_equations.pose_error_kernel(start[:3, :3], start[:3, 3], R, t, e[side])
         out[:, k] = (8 * (e[2] - e[1]) - (e[3] - e[0])) / (12 * h)
     return out
 
@@ -57,7 +57,7 @@ def worst_jacobian(count, seed):
     """Greatest relative disagreement, of the whole matrix, between J_p and differences over `count` random machines and
     poses.
     """
-    from calib.models.platform.identification import pose_parameter_jacobian
+    from calib.models.platform.platform_identification import pose_parameter_jacobian
 
     rng = np.random.default_rng(seed)
     worst = 0.0

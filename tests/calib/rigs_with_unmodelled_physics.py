@@ -8,15 +8,17 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import Certified
-from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
 from calib.diagnosis.geometry_refitted_with_diagnosed_effects import findings_of_diagnosis, refit_platform_with_findings
-from calib.models.wanted_pose_commands import commands_along_route, pace_that_holds_poses_at_times
+from calib.models.wanted_pose_commands import commands_along_route, pace_with_hold_times
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import MOTION_STAGES
-from rig.model import mechanisms, motion_simulation
+from rig.effects.framework.effect_base_class import MOTION_STAGES
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.pose import pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
@@ -82,7 +84,7 @@ def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES)
         calibration,
         T,
         mechanisms.kinematics_of(m).home_values(m),
-        pace_that_holds_poses_at_times(calibration, t, log),
+        pace_with_hold_times(calibration, t, log),
         log if sensed else None,
         approach,
     )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.models.arm import error_model_and_observations
+from calib.models.arm import arm_error_model_and_instrument_observations
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.design import Actuator, Design, Instrument, Platform
 from rig.model.pose import exp, log, pose, pose_difference, pose_to_vector
@@ -51,7 +51,9 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
     q = configurations_of(nominal, count - repeats, rng)
     q = np.concatenate([q, q[:repeats]])
     scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
-    T = error_model_and_observations.predicted_target_poses(q if deviation is None else q + deviation(q), true)
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(
+        q if deviation is None else q + deviation(q), true
+    )
     T = T * exp(shared * rng.normal(size=6) + scale * rng.normal(size=(count, 6)))
     factor = np.tile(np.diag(shared)[:, shared > 0], (count, 1, 1))
     return Samples(np.arange(count), np.arange(count) * 10.0, q, T, np.tile(np.diag(scale**2), (count, 1, 1)), factor)
@@ -60,9 +62,10 @@ def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), de
 def touched(true, nominal, count, rng, sigma=2e-5):
     """Observations of positions alone: a reflector, a ball, a touched point."""
     q = configurations_of(nominal, count, rng)
-    return error_model_and_observations.position_observations(
+    return arm_error_model_and_instrument_observations.position_observations(
         q,
-        error_model_and_observations.predicted_target_poses(q, true).translation + sigma * rng.normal(size=(count, 3)),
+        arm_error_model_and_instrument_observations.predicted_target_poses(q, true).translation
+        + sigma * rng.normal(size=(count, 3)),
         sigma,
     )
 
@@ -70,9 +73,9 @@ def touched(true, nominal, count, rng, sigma=2e-5):
 def wired(true, nominal, count, rng, sigma=5e-5):
     """Observations of one distance: a drawn wire from the frame's origin to the hand."""
     q = configurations_of(nominal, count, rng)
-    return error_model_and_observations.distance_observations(
+    return arm_error_model_and_instrument_observations.distance_observations(
         q,
-        np.linalg.norm(error_model_and_observations.predicted_target_poses(q, true).translation, axis=1)
+        np.linalg.norm(arm_error_model_and_instrument_observations.predicted_target_poses(q, true).translation, axis=1)
         + sigma * rng.normal(size=count),
         sigma,
     )
@@ -113,14 +116,14 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
 def same_gauge(true, nominal, free):
     """The true arm's parameters less the nominal's, in the fit's own gauge: the fit of noiseless observations."""
     q = configurations(nominal, 200, np.random.default_rng(99), 0.6)
-    T = error_model_and_observations.predicted_target_poses(q, true)
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(q, true)
     arm = replace(nominal, base=BASE, tool=TOOL)
     for _ in range(30):
-        J = error_model_and_observations.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
+        J = arm_error_model_and_instrument_observations.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
         step = np.zeros(len(free))
-        left = pose_difference(error_model_and_observations.predicted_target_poses(q, arm), T)
+        left = pose_difference(arm_error_model_and_instrument_observations.predicted_target_poses(q, arm), T)
         step[free] = np.linalg.lstsq(J, left.ravel())[0]
-        arm = error_model_and_observations.arm_with_parameter_step(arm, step)
+        arm = arm_error_model_and_instrument_observations.arm_with_parameter_step(arm, step)
         if np.abs(step).max() < 1e-13:
             return arm
     raise AssertionError("no arm of this gauge is the true one")

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect
-from rig.model import motion_simulation
-from rig.planning import plan
+from rig.effects.framework.effect_base_class import Effect
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
 
@@ -163,7 +163,7 @@ def recorded(folder, design, text, number, seed, seen=2.5e-5):
         motion_simulation.motion_of_commands(bare.world.true, route.commands, route.t, (), bare.sensors),
         T=bare.run.T_base_platform,
     )
-    lengths = effect.deviation(motion) + motion_simulation.strut_elongations_of_platform_sway(
+    lengths = effect.deviation(motion) + motion_simulation.apparent_strut_elongations_of_sway(
         bare.world.true, motion.T, effect.sway(motion)
     )
     lines = np.column_stack([np.ones(len(route.t)), motion.stroke])

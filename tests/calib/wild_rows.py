@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.pose import exp
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_csv_tables import Poses

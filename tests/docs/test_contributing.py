@@ -5,7 +5,7 @@ import re
 import yaml
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from tests.docs.document_commands import ROOT
 

@@ -15,11 +15,11 @@ from typing import get_args
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
-from rig.cli.command_import_execution_and_exit_status import (
+from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS
+from rig.cli.command_parser_execution_and_exit_status import (
     argument_adder_and_runner_of_command,
     join_command_words_and_find_earlier_name,
 )
-from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS
 from rig.cli.shared.shared_output_controller_hand_and_worker_options import add_common_options
 from rig.errors import FileError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism

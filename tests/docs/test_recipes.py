@@ -12,7 +12,10 @@ import pytest
 import tomlkit
 
 from rig.driving.cameras.opencv_uvc_gstreamer_and_network_cameras import gstreamer_pipeline_problem
-from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import (
+    check_protocol_conformance,
+    protocol_conformance_design,
+)
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from tests.conftest import ROOT
@@ -61,14 +64,14 @@ def test_the_lines_of_a_controller_load(tmp_path, text):
 
 @pytest.mark.parametrize("name", ["klipper", "duet"])
 def test_a_controller_of_a_recipe_greets_homes_and_moves(name):
-    first = next(check_conformance(conformance_design(None), f"file:{RECIPES / name}.py"))
+    first = next(check_protocol_conformance(protocol_conformance_design(None), f"file:{RECIPES / name}.py"))
     assert first.problem == ""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["klipper", "duet"])
 def test_a_controller_of_a_recipe_is_driven_safely(name):
-    checks = list(check_conformance(conformance_design(None), f"file:{RECIPES / name}.py", 100))
+    checks = list(check_protocol_conformance(protocol_conformance_design(None), f"file:{RECIPES / name}.py", 100))
     assert checks and [(check.name, check.problem) for check in checks if check.problem] == []
 
 

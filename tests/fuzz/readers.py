@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.held_out_errors import Figures, HeldOut
-from calib.correction.correction import Correction
+from calib.certification.held_out_pose_error_statistics import Figures, HeldOut
+from calib.correction.machine_correction import Correction
 from calib.files import calibration_file
 from calib.online.hexapod_information_filter import Online
 from rig.effects.catalogue.effect_list import ALL
@@ -27,7 +27,7 @@ from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import calibration_board_layout_and_description_parsing
 from rig.model.pose import TRIANGLE
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_csv_tables import COVARIANCE_COLUMNS, load_corners, load_poses
@@ -151,7 +151,7 @@ def _json(folder, design, done):
         Reader(
             "truth.json",
             seed("truth.json"),
-            lambda path: random_true_machine_and_truth_file.world_from_truth(path, design),
+            lambda path: random_true_machine_and_truth_file.load_world_from_truth_file(path, design),
         ),
         Reader(
             "sealed truth", seed("truth.json"), lambda path: judged(blind_diagnosis_score.score_case(1, path, None))
@@ -249,12 +249,12 @@ def _foreign(folder, design):
         Reader(
             "foreign commands",
             (german, plain),
-            lambda path: importers.command_and_sensor_tables.read_commands(ForeignTable(path), design),
+            lambda path: importers.foreign_command_and_sensor_tables.read_commands(ForeignTable(path), design),
         ),
         Reader(
             "foreign poses",
             (turns, angles),
-            lambda path: importers.pose_table.read_poses(
+            lambda path: importers.foreign_pose_table.read_poses(
                 ForeignTable(path, rotation_unit="deg", rotation="zyx")
                 if b"roll" in path.read_bytes()
                 else ForeignTable(path),
@@ -266,7 +266,7 @@ def _foreign(folder, design):
         Reader(
             "foreign sensors",
             (log,),
-            lambda path: importers.command_and_sensor_tables.read_sensors(
+            lambda path: importers.foreign_command_and_sensor_tables.read_sensors(
                 ForeignTable(path), lambda t: True, design.mechanism
             ),
         ),

@@ -7,7 +7,7 @@ from rig.model.base_and_link_tilt_sensors import GRAVITY
 from rig.model.design import PROTOCOLS
 from tests.conftest import ROOT
 
-OWN_PROTOCOL = f"file:{ROOT / 'rig' / 'driving' / 'example_protocol_with_emulator.py'}"
+OWN_PROTOCOL = f"file:{ROOT / 'rig' / 'driving' / 'example_user_protocol_with_emulator.py'}"
 EVERY_PROTOCOL = (*PROTOCOLS, OWN_PROTOCOL)
 
 

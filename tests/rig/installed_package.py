@@ -29,7 +29,7 @@ class Gauge(UserSensors):
 '''
 FILES = {
     "acme_machine/__init__.py": "",
-    "acme_machine/protocol.py": (ROOT / "rig" / "driving" / "example_protocol_with_emulator.py").read_text(),
+    "acme_machine/protocol.py": (ROOT / "rig" / "driving" / "example_user_protocol_with_emulator.py").read_text(),
     "acme_machine/camera.py": CAMERA,
     "acme_machine/sensors.py": SENSORS,
     "acme_machine-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: acme-machine\nVersion: 1.0\n",

@@ -1,7 +1,7 @@
 """The process that holds a controller's lock, stopped as `rig stop` does it."""
 
-from rig.driving.clock import SystemClock
 from rig.driving.controller_lock_and_stop_of_its_holder import ask_lock_holder_to_end, await_end_of_lock_holder
+from rig.driving.driving_clock import SystemClock
 
 
 def stop_lock_holder(port, timeout):

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults, MovingAxes
 from rig.driving.emulators.native_strut_protocol import Struts as EmulatedStruts
 from rig.driving.protocols.gcs import GCS

@@ -9,13 +9,13 @@ from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras
     Frame,
     SynchronisedCameras,
 )
-from rig.driving.clock import SimulatedClock
 from rig.driving.driver_opening_and_settling import parse_settling
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.move_and_record_loop import RunEquipment, RunOperator
 from rig.driving.move_profiles_and_path_check import trapezoidal_profile
 from rig.driving.run_journal import Arrival, Began, Journal
 from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 
 SPEED, RAMP = 0.05, 0.2  # m/s, s
 AXES = tuple(f"l{i}" for i in range(1, 7))

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from vision import lens
+from vision import opencv_lens_model as lens
 
 
 def edge_corners(image, corners, camera, reach=4.0, along=(0.2, 0.8), samples=41):

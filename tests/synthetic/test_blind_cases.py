@@ -17,8 +17,9 @@ from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError
-from rig.model import arm_hands_effect_places_and_tolerances, motion_simulation
-from rig.planning import plan
+from rig.model import arm_hands_effect_places_and_tolerances
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import (
     blind_diagnosis_score,

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.clock import SimulatedClock, SystemClock
+from rig.driving.driving_clock import SimulatedClock, SystemClock
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from synthetic import image_simulation, random_true_machine_and_truth_file, recording_simulation
 
 

@@ -9,10 +9,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Sensor
 from rig.model.pose import pose_difference
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import (
     ideal_image_renderer,
@@ -23,7 +23,7 @@ from synthetic import (
 )
 from synthetic.marker_drawing_sensor_and_occlusion import is_occluded
 from tests.conftest import SHARED
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 from vision.reading.corner_reading_from_recording_images import read_corners_of_all_images
 
 
@@ -55,7 +55,7 @@ def test_what_is_written_is_read_back(done, tmp_path, rig_text):
 
 def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     random_true_machine_and_truth_file.write_truth(tmp_path / "t.json", done.world, done.run.T_base_platform)
-    reloaded = random_true_machine_and_truth_file.world_from_truth(tmp_path / "t.json", design)
+    reloaded = random_true_machine_and_truth_file.load_world_from_truth_file(tmp_path / "t.json", design)
     assert reloaded.effects == done.world.effects
     T = motion_simulation.simulate_machine_run(
         reloaded.true, done.plan.commands, done.plan.t, reloaded.effects, done.sensors
@@ -69,7 +69,7 @@ def test_truth_makes_the_same_machine_again(done, tmp_path, design):
     }
     (tmp_path / "half.json").write_text((tmp_path / "t.json").read_text()[:300])
     with pytest.raises(FileError, match="cut off"):
-        random_true_machine_and_truth_file.world_from_truth(tmp_path / "half.json", design)
+        random_true_machine_and_truth_file.load_world_from_truth_file(tmp_path / "half.json", design)
 
 
 def test_same_seed_same_recording(design, tmp_path, rig_text):

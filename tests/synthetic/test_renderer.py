@@ -18,7 +18,7 @@ from synthetic import rig_meshes
 from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from tests.synthetic.corners_by_edge_lines import edge_corners
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
-from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 
 def wall(design, tilt, distortion, size=0.11):

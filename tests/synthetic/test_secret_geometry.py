@@ -8,11 +8,11 @@ import pytest
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml.design_from_rig_toml import load_design
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.pose import pose_difference
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
-from synthetic.random_true_machine_and_truth_file import world_from_truth
+from synthetic.random_true_machine_and_truth_file import load_world_from_truth_file
 from tests.rig.effects.test_added_effect import RIGS
 
 SIGMA = (2e-5, 1e-4)  # m, rad
@@ -37,7 +37,11 @@ def simulated(folder, kind, *words, place="rig", rotations=True):
     ]
     assert command_line.main([str(word) for word in argv]) == 0
     found = recording_folder.load_recording(folder / "rec")
-    return found, world_from_truth(folder / "truth.json", found.design), json.loads((folder / "truth.json").read_text())
+    return (
+        found,
+        load_world_from_truth_file(folder / "truth.json", found.design),
+        json.loads((folder / "truth.json").read_text()),
+    )
 
 
 @pytest.mark.parametrize(

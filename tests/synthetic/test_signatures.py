@@ -10,17 +10,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import pose_parameter_jacobian
+from calib.models.platform.platform_identification import pose_parameter_jacobian
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.base_and_link_tilt_sensors import BaseTilt
 from rig.model.pose import exp
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording.recording_folder import sensors_with_gravity
 from synthetic import random_true_machine_and_truth_file, recording_simulation
-from vision import lens
-from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision import opencv_lens_model as lens
+from vision.marker_corner_prediction import (
+    State,
+    is_inside_image,
+    marker_map,
+    predict_sightings,
+    sightings_of_markers_facing_cameras,
+)
 
 EFFECTS = [
     "scale_error:strut3:scale=2e-4",

@@ -14,7 +14,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import p
 from rig.errors import RigError
 from rig.model.design import Actuator, Design, Platform
 from rig.model.design import Arm as DesignArm
-from rig.model.motion_simulation import simulate_machine_run
+from rig.model.machine_motion_simulation import simulate_machine_run
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors
 from tests.truth.bending import DOWN, bent_arm
 from tests.truth.draw_machines import nominal, secret

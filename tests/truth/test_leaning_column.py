@@ -12,12 +12,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import calib
 import rig
 from calib.api.calibrate import CalibrateOptions
-from calib.models.arm.error_model_and_observations import (
+from calib.models.arm.arm_error_model_and_instrument_observations import (
     arm_with_parameter_step,
     observations_of_samples,
     parameter_jacobian,
 )
-from calib.models.arm.identification_and_joint_profiles import identify_arm
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm
 from calib.models.arm.tilt_observations import (
     link_rotation_jacobian_by_joints,
     link_rotation_jacobian_by_parameters,
@@ -27,7 +27,7 @@ from calib.models.base_and_tool_displacement_between_recordings import samples_w
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import FileError, RigError
 from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from tests.numerical_derivatives import jacobian
 from tests.rig.arms import UR10
 from tests.truth import draw

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from synthetic import random_true_machine_and_truth_file, recording_simulation
-from vision.corner_observations import observations_from_corners
-from vision.predict import marker_map
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import marker_map
 
 
 def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from rig.model.design import Camera
 from rig.model.pose import pose
-from vision.predict import marker_cells
+from vision.marker_corner_prediction import marker_cells
 
 SIZE = 180
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model.design import FACES, Actuator, Camera, Design, Free, Marker, Platform, Target, face_pose
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
-from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 EDGE, SIDE, WHITE = 0.12, 0.03, 0.004  # m
 ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m

@@ -9,13 +9,16 @@ import pytest
 
 from rig.errors import FileError
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import rig_toml_with_target_markers_replaced
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
+    rig_toml_with_target_markers_replaced,
+)
 from rig.model.design import markers_of_target
 from rig.model.pose import pose_difference
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
-from synthetic import image_simulation, print_sheets, random_true_machine_and_truth_file, recording_simulation
-from vision.predict import marker_map
+from synthetic import image_simulation, random_true_machine_and_truth_file, recording_simulation
+from synthetic import printable_target_sheets as print_sheets
+from vision.marker_corner_prediction import marker_map
 from vision.recording_measurement import measure_recording
 
 PAGE = Path(__file__).parents[2] / "docs" / "measuring.md"

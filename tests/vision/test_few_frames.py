@@ -9,7 +9,8 @@ from rig.errors import NotEnoughData
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation

@@ -11,7 +11,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.recording.exposures_and_image_files import PNG
-from vision.predict import marker_cells
+from vision.marker_corner_prediction import marker_cells
 
 PIXEL, WIDTH, HEIGHT = 5.0, 210.0, 297.0  # px per mm of the flat drawing; mm
 RIG = """schema = "rig/1"

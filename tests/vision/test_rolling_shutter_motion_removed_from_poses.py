@@ -59,7 +59,7 @@ def test_poses_of_a_moving_platform_are_as_good_as_of_one_that_stands(tmp_path):
     assert rigid.rms(without[moves])[0] > 3 * moving[0]
     scaled = np.linalg.solve(np.linalg.cholesky(found.covariance), error[..., None])[..., 0]
     assert (scaled**2).mean() < 2.0
-    rates = platform_motion_between_frame_time_and_corner_exposure.commanded_rates(recording)
+    rates = platform_motion_between_frame_time_and_corner_exposure.commanded_platform_rates(recording)
     assert not rates.rate[stands].any() and (np.abs(rates.rate[moves]).max(axis=1) > FAST / 3).all()
 
 
@@ -76,6 +76,8 @@ def test_nothing_that_is_exposed_at_once_or_stands_has_rates(tmp_path):
         (tmp_path / "rig.toml").write_text(lines)
         run("simulate", tmp_path / "rig.toml", "--plan", plan, "--seed", "1", "--out", tmp_path / "REC", "--force")
         assert (
-            platform_motion_between_frame_time_and_corner_exposure.commanded_rates(load_recording(tmp_path / "REC"))
+            platform_motion_between_frame_time_and_corner_exposure.commanded_platform_rates(
+                load_recording(tmp_path / "REC")
+            )
             is None
         )

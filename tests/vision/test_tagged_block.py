@@ -24,11 +24,11 @@ from vision.checks.mistake_search_by_trial_corrections import (
     find_corner_mistakes,
     misplaced_or_exchanged_camera_sentences,
 )
-from vision.checks.recording_refusal_and_cube_layout_remarks import unevenly_placed_cubes_remarks
-from vision.corner_observations import observations_from_corners
+from vision.checks.recording_refusal_and_uneven_cube_remarks import unevenly_placed_cubes_remarks
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import marker_map
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
-from vision.predict import marker_map
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 from vision.recording_measurement import measure_with_stated_or_free_markers
 
 NOISE = 0.05  # px

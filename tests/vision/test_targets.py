@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.model.design import FACES, face_pose
 from rig.model.pose import transform_points
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 
 HALF, EDGE = 0.5, 2.0
 # corner 0 (top left, seen from outside, top to +z on the sides and +y on +z and -z) and corner 1 (top right) of a

@@ -10,8 +10,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model.design import Actuator, Camera, Design, Free, Marker, Platform, Target, face_pose
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
-from vision.corner_observations import observations_from_corners
-from vision.predict import State, is_inside_image, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import (
+    State,
+    is_inside_image,
+    marker_map,
+    predict_sightings,
+    sightings_of_markers_facing_cameras,
+)
 
 
 def design():

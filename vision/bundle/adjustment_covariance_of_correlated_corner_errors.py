@@ -21,7 +21,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     POSE_SCALE,
     Unknowns,
-    offset_from_stated,
+    estimate_offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import Adjustment
@@ -35,7 +35,7 @@ from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     pose_covariance_from_corner_error_variances,
     smooth_image_error_model_of_corners,
 )
-from vision.corner_observations import Observations, whitener_of_observations
+from vision.corner_observations_and_merging import Observations, whitener_of_observations
 
 PROOF = 30.0  # twice the logarithm of the likelihood by which errors common to all frames must be likelier than none
 WEAK = 1e-2  # of the greatest information; combinations that adjusting takes up nearly whole say too little of errors
@@ -87,7 +87,9 @@ class _Corners:
     pull: Floats
 
 
-def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adjustment, own: Booleans) -> Adjustment:
+def adjustment_with_correlated_error_covariance(
+    observations: Observations, adjustment: Adjustment, own: Booleans
+) -> Adjustment:
     """The Adjustment with the covariance that unlike corner errors give it.
 
     It is as it was where they are equal and independent, or too few to show otherwise.
@@ -126,7 +128,7 @@ def with_covariance_of_unlike_errors(observations: Observations, adjustment: Adj
         own[rows.order],
         pixels,
         columns,
-        u.prior * offset_from_stated(estimate, adjustment.stated, u),
+        u.prior * estimate_offset_from_stated(estimate, adjustment.stated, u),
     )
     if sizes is None:
         return _with_common_image_errors(adjustment, adjustment, corners, u.scale)

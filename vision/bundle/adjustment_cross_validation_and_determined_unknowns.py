@@ -14,7 +14,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     Estimate,
     Unknowns,
     datum_marker_rows,
-    offset_from_stated,
+    estimate_offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
     POSE_SIGMA,
@@ -26,7 +26,7 @@ from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import
     schur_complement,
     whitened_residuals_and_derivatives,
 )
-from vision.corner_observations import Observations, observations_of_frames, whitener_of_observations
+from vision.corner_observations_and_merging import Observations, observations_of_frames, whitener_of_observations
 
 FOLDS = 10
 ALONE = 1e-9  # of the information in some direction; a stretch whose absence leaves less was the only one to tell it
@@ -112,7 +112,7 @@ def crossvalidate_adjustment(
     u, estimate = adjustment_unknowns_and_start_estimate(
         observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing
     )
-    away = offset_from_stated(estimate, stated, u)
+    away = estimate_offset_from_stated(estimate, stated, u)
     stretch = np.minimum(np.arange(len(observations.frames)) * folds // len(observations.frames), folds - 1)
     tested = observations if own is None or own.all() else observations.take(own)
     parts = []

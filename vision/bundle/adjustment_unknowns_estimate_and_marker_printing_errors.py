@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES, Place
 from rig.model.pose import exp, log
-from vision.predict import MarkerMap, State
+from vision.marker_corner_prediction import MarkerMap, State
 
 NAMES = ("x", "y", "z", "rx", "ry", "rz", "side")
 KINDS = (
@@ -204,7 +204,7 @@ def marker_motions_relative_to_targets(estimate: Estimate, stated: State, unknow
     return RigidTransform.from_matrix(np.where(held[:, None, None], np.eye(4), own.as_matrix()))
 
 
-def do_cameras_hold_base(unknowns: Unknowns, state: State) -> bool:
+def is_base_frame_held_by_cameras(unknowns: Unknowns, state: State) -> bool:
     """Whether the cameras hold the base frame.
 
     They are fixed, held as stated, and hold it by themselves.
@@ -257,7 +257,7 @@ def estimated_marker_motions_by_target_motions(estimate: Estimate, unknowns: Unk
     return RigidTransform.from_matrix(matrices)
 
 
-def offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> Floats:
+def estimate_offset_from_stated(estimate: Estimate, stated: State, unknowns: Unknowns) -> Floats:
     """Offset (s,) of the estimate from what is stated.
 
     From the stated lenses, places, prints and held camera poses, in scaled units.
@@ -310,7 +310,7 @@ def align_with_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> 
     on_platform, T = state.placed.on_platform, state.placed.T_body_marker
     for on in (False, True):
         body = unknowns.seen[on_platform[unknowns.seen] == on]
-        held = not on and do_cameras_hold_base(unknowns, state)
+        held = not on and is_base_frame_held_by_cameras(unknowns, state)
         D[on] = (
             RigidTransform.identity()
             if held or not len(body)

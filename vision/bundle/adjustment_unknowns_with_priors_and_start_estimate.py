@@ -15,7 +15,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.arm_hands_effect_places_and_tolerances import SIDES, Place
 from rig.model.design import Camera
 from rig.model.pose import skew
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     NAMES,
     NONE,
@@ -27,12 +27,12 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     UnknownName,
     Unknowns,
     datum_marker_rows,
-    do_cameras_hold_base,
+    is_base_frame_held_by_cameras,
     marker_motions_relative_to_targets,
     target_motion_from_stated,
 )
-from vision.corner_observations import Observations
-from vision.predict import MarkerMap, State
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import MarkerMap, State
 
 GROUPS = ("poses", "lenses", "markers", "targets")
 # What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can
@@ -223,7 +223,7 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> Floa
         target = np.array(m.target)
         for on in (False, True):
             body = seen[m.on_platform[seen] == on]
-            if len(body) and (on or not do_cameras_hold_base(unknowns, state)):
+            if len(body) and (on or not is_base_frame_held_by_cameras(unknowns, state)):
                 rows.append(_mean_motion(m, datum_marker_rows(m, body), unknowns, True))
         if unknowns.markers and unknowns.targets:
             rows += [_mean_motion(m, seen[target[seen] == name], unknowns, False) for name in unknowns.targets]

@@ -24,7 +24,7 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     Unknowns,
     align_with_datums,
     estimate_after_step,
-    offset_from_stated,
+    estimate_offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
     adjustment_unknowns_and_start_estimate,
@@ -32,13 +32,18 @@ from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
 )
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
-    predicted_decrease,
+    predicted_cost_decrease,
     schur_complement,
     solve_shared_and_frame_steps,
     whitened_residuals_and_derivatives,
 )
-from vision.corner_observations import Observations, Whitener, merge_repeated_corners, whitener_of_observations
-from vision.predict import State, predict_corners
+from vision.corner_observations_and_merging import (
+    Observations,
+    Whitener,
+    merge_repeated_corners,
+    whitener_of_observations,
+)
+from vision.marker_corner_prediction import State, predict_corners
 
 MAX_ITERATIONS = 120
 CONVERGED = 1e-9  # relative decrease of the cost
@@ -139,14 +144,14 @@ def adjust_bundle(
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
             residual, derivatives = whitened_residuals_and_derivatives(few, estimate, u, W)
-            away = offset_from_stated(estimate, stated, u)
+            away = estimate_offset_from_stated(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
             blocks = normal_equations(few, derivatives, u, away)
         steps = solve_shared_and_frame_steps(blocks, u, damping)
         moved = estimate_after_step(estimate, u, *steps)
         new = adjustment_cost(few, moved, stated, u, W) + spare
         if not new <= cost:
-            if predicted_decrease(
+            if predicted_cost_decrease(
                 blocks, *(solve_shared_and_frame_steps(blocks, u) if damping else steps)
             ) <= CONVERGED * max(cost, 1.0):
                 if new - cost <= CONVERGED * max(cost, 1.0):
@@ -185,7 +190,7 @@ def adjustment_cost(
         return np.inf
     return float(
         (whitening(observations.uv - uv) ** 2).sum()
-        + (unknowns.prior * offset_from_stated(estimate, stated, unknowns) ** 2).sum()
+        + (unknowns.prior * estimate_offset_from_stated(estimate, stated, unknowns) ** 2).sum()
     )
 
 
@@ -200,7 +205,7 @@ def _finish(
 ) -> Adjustment:
     """The Adjustment of Observations that were adjusted as few, with their Whitener."""
     residual, derivatives = whitened_residuals_and_derivatives(few, estimate, u, W)
-    away = offset_from_stated(estimate, stated, u)
+    away = estimate_offset_from_stated(estimate, stated, u)
     blocks = normal_equations(few, derivatives, u, away)
     uv, _ = predict_corners(observations, estimate.state)
     residual = whitener_of_observations(observations)(observations.uv - uv)

@@ -13,7 +13,7 @@ import numpy as np
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 from rig.compute.parallel_map_and_dask_cluster import thread_map
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     POSE_SCALE,
     SIDE,
@@ -22,8 +22,8 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     estimated_marker_motions_by_target_motions,
     printing_error_jacobian,
 )
-from vision.corner_observations import Observations, Whitener
-from vision.predict import (
+from vision.corner_observations_and_merging import Observations, Whitener
+from vision.marker_corner_prediction import (
     State,
     base_points_in_camera_frame,
     iterate_observed_cameras,
@@ -360,7 +360,7 @@ def solve_shared_and_frame_steps(blocks: Blocks, unknowns: Unknowns, damping: fl
     return shared, solved[..., -1] - solved[..., :-1] @ shared
 
 
-def predicted_decrease(blocks: Blocks, shared_step: Floats, local_step: Floats) -> float:
+def predicted_cost_decrease(blocks: Blocks, shared_step: Floats, local_step: Floats) -> float:
     """Predicted decrease of the cost by steps.
 
     They are the undamped ones of `solve_shared_and_frame_steps`, to first order.

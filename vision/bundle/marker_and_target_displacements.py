@@ -14,23 +14,23 @@ from rig.array_and_json_types import Floats, Integers
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Marker
 from rig.model.pose import log
-from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import offset_from_stated
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import estimate_offset_from_stated
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
-    predicted_decrease,
+    predicted_cost_decrease,
     solve_shared_and_frame_steps,
     whitened_residuals_and_derivatives,
 )
-from vision.corner_observations import Observations, whitener_of_observations
-from vision.pose.pose_refinement_and_ambiguity_resolution import (
+from vision.corner_observations_and_merging import Observations, whitener_of_observations
+from vision.marker_corner_prediction import MarkerMap, State, predict_corners
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import (
     MOST,
     neighbour_rotation_scatter,
     pose_from_neighbours,
     rotation_angle_between_poses,
 )
-from vision.predict import MarkerMap, State, predict_corners
 
 HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
 PROOF = 0.999  # probability with which an unmoved marker stays unmentioned
@@ -38,7 +38,7 @@ WIDE = 1.96  # standard deviations on either side of a 95 % interval
 
 
 class Measured(Protocol):
-    """What is asked here of a vision.recording_adjustment.Measurement, which stands above."""
+    """What is asked here of a vision.recording_adjustment_with_hand_and_stages.Measurement, which stands above."""
 
     @property
     def frames(self) -> Integers:
@@ -128,9 +128,9 @@ def are_stated_places_doubtful(measurement: Measured, markers: MarkerMap) -> boo
     )
     W = whitener_of_observations(used)
     residual, derivatives = whitened_residuals_and_derivatives(used, estimate, u, W)
-    away = offset_from_stated(estimate, replace(a.stated, markers=markers), u)
+    away = estimate_offset_from_stated(estimate, replace(a.stated, markers=markers), u)
     blocks = normal_equations(used, derivatives, u, away)
-    left = (residual**2).sum() - predicted_decrease(blocks, *solve_shared_and_frame_steps(blocks, u))
+    left = (residual**2).sum() - predicted_cost_decrease(blocks, *solve_shared_and_frame_steps(blocks, u))
     dof = 2 * len(used) - u.used.sum() - u.basis.shape[1]
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 

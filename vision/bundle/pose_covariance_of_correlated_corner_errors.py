@@ -18,7 +18,7 @@ from scipy.special import chdtr, chdtrc
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
-from vision.corner_observations import Observations
+from vision.corner_observations_and_merging import Observations
 
 DEGREE = 3  # of the polynomials of a place in an image that errors may follow
 RINGS = 3  # parts of an image from its middle outwards, of as many corners each

@@ -18,13 +18,13 @@ from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors impor
     KINDS,
     NAMES,
     Printing,
-    offset_from_stated,
+    estimate_offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
-    predicted_decrease,
+    predicted_cost_decrease,
     schur_complement,
     solve_shared_and_frame_steps,
     whitened_residuals_and_derivatives,
@@ -34,7 +34,7 @@ from vision.bundle.robust_adjustment import (
     are_corner_residuals_within_gate,
     repeated_corner_covariance_and_systematic_error,
 )
-from vision.corner_observations import (
+from vision.corner_observations_and_merging import (
     Observations,
     find_repeated_base_corners,
     group_sums,
@@ -42,7 +42,7 @@ from vision.corner_observations import (
     observations_of_frames,
     whitener_of_observations,
 )
-from vision.predict import State
+from vision.marker_corner_prediction import State
 
 MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
 TRIAL = Printing(1.0, 1.0, 1.0, 1.0)
@@ -132,7 +132,7 @@ def _print_information(observations: Observations, a: Adjustment, free: tuple[st
     one = _merged(observations, a.state)
     u, estimate = adjustment_unknowns_and_start_estimate(one, a.state, a.stated, free, printing=TRIAL)
     residual, derivatives = whitened_residuals_and_derivatives(one, estimate, u, whitener_of_observations(one))
-    away = offset_from_stated(estimate, a.stated, u)
+    away = estimate_offset_from_stated(estimate, a.stated, u)
     blocks = normal_equations(one, derivatives, u, away)
     _, reduced, _ = schur_complement(blocks)
     covariance = u.basis @ np.linalg.inv(u.basis.T @ reduced @ u.basis) @ u.basis.T
@@ -143,7 +143,7 @@ def _print_information(observations: Observations, a: Adjustment, free: tuple[st
     right = inverse @ shared[columns]
     cost = (
         float((residual**2).sum() + (u.prior * away**2).sum())
-        - predicted_decrease(blocks, shared, local)
+        - predicted_cost_decrease(blocks, shared, local)
         + float(right @ shared[columns])
     )
     return _PrintInformation(

@@ -13,16 +13,16 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
-from vision.corner_observations import (
+from vision.corner_observations_and_merging import (
     Observations,
     find_repeated_base_corners,
     group_sums,
     inverse_cholesky_factors,
     observations_of_frames,
 )
+from vision.marker_corner_prediction import State, predict_corners
 from vision.pose.frame_and_camera_poses import PLATFORM
-from vision.pose.pose_refinement_and_ambiguity_resolution import GATE, MEDIAN
-from vision.predict import State, predict_corners
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import GATE, MEDIAN
 
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then remains as adjusted
 CLOSING = 0.3  # by which a wide first gate closes with every round

@@ -13,10 +13,10 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import NotEnoughData, RigError
 from rig.model.design import Camera, Design, Target, corners_of_squares_with_edges_moved_inward
 from rig.recording.corner_and_pose_csv_tables import Corners
-from vision import lens
-from vision.corner_observations import observations_from_corners
-from vision.predict import are_all_marker_poses_known, marker_map
-from vision.recording_adjustment import Measurement, measure_observations
+from vision import opencv_lens_model as lens
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import are_all_marker_poses_known, marker_map
+from vision.recording_adjustment_with_hand_and_stages import Measurement, measure_observations
 from vision.recording_measurement import frames_with_enough_markers, unsolved_frames_with_enough_markers
 
 FRAMES = 8  # looked at

@@ -17,10 +17,10 @@ from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
 from vision.checks.corner_and_lens_convention_trials import FRAMES
 from vision.corners.marker_detection_and_corner_fit import Detection, detect_markers, read_marker_ids
-from vision.predict import MarkerMap, marker_map
+from vision.marker_corner_prediction import MarkerMap, marker_map
 from vision.reading.corner_reading_from_recording_images import image_reader
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import FAMILIES
-from vision.reading.parallel_image_map_marker_rendering_and_white_level import map_images_in_threads
+from vision.reading.parallel_image_map_marker_images_and_white_level import map_images_in_threads
 
 TRIED = 6  # images in which other dictionaries are tried
 LEAST = 3  # sightings of an identity of the rig in another dictionary, from which that is named

@@ -18,8 +18,8 @@ from vision.checks import corner_and_lens_convention_trials as conventions
 from vision.checks import target_mistake_trials as targets
 from vision.checks.corner_and_lens_convention_trials import LOST, SampledRecording, Trial, measure_trial, sample_frames
 from vision.checks.trials_from_other_start_poses import cameras_by_free_markers, stated_trial_from_other_camera_poses
-from vision.lenses.lens_calibration import alternative_initial_lenses, are_lenses_plausible
-from vision.recording_adjustment import Measurement, has_hand_cameras, recording_seen_from_hand
+from vision.lenses.lens_calibration_from_board_views import alternative_initial_lenses, are_lenses_plausible
+from vision.recording_adjustment_with_hand_and_stages import Measurement, has_hand_cameras, recording_seen_from_hand
 
 FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
 GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone
@@ -211,7 +211,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     if not tried:
         return [], first
     body, share, best = min(tried, key=lambda one: one[2].misfit)
-    share = targets.best_size_ratio(first.seen, share, body, lambda seen: measure_trial(seen).misfit)
+    share = targets.best_marker_size_ratio(first.seen, share, body, lambda seen: measure_trial(seen).misfit)
     at = measure_trial(targets.scale_marker_sides(first.seen, share, body))
     best = at if at.misfit < best.misfit else best
     if (

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera, Target
 from vision.checks.corner_and_lens_convention_trials import SampledRecording, Trial
-from vision.predict import SQUARE, marker_map
+from vision.marker_corner_prediction import SQUARE, marker_map
 
 Candidate = tuple[str, str, SampledRecording]
 PRINTED = 0.01  # a scale of the print beyond this is a mistake, below it a print_scale (its usual size ends at 0.005)
@@ -142,7 +142,7 @@ def marker_size_ratio_text(size_ratio: float, target: Target | None) -> str:
     return off
 
 
-def best_size_ratio(
+def best_marker_size_ratio(
     sample: SampledRecording, ratio: float, body: str | None, misfit: Callable[[SampledRecording], float]
 ) -> float:
     """Best size ratio near one.

@@ -18,10 +18,10 @@ from vision.checks.corner_and_lens_convention_trials import (
     is_same_lens_within_calibration_drift,
     measure_trial,
 )
-from vision.corner_observations import observations_from_corners
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import marker_map
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners
-from vision.predict import marker_map
 
 
 def stated_trial_from_other_camera_poses(first: Trial, misfit: float) -> Trial | None:

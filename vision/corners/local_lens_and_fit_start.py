@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats, Pixels
 from rig.model.design import Camera
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.corners.blurred_edge_image_model_and_numba_kernels import inlined_kernel, kernel, order_statistic
 
 SPACING = 32.0  # px between the table's nodes; four of them to each side interpolate a lens of photographs to 1e-5 px
@@ -125,7 +125,7 @@ def _change(terms: Floats, u: float, v: float) -> tuple[float, float]:
 
 
 @kernel
-def pixel_to_ideal(lens: Floats, u: float, v: float) -> tuple[float, float]:
+def local_pixel_to_local_ideal(lens: Floats, u: float, v: float) -> tuple[float, float]:
     """Local ideal coordinates of local pixel coordinates by the polynomials of a lens (2, TERMS)."""
     x, y = polynomial_along_row(lens[0], v), polynomial_along_row(lens[1], v)
     return x.a + u * (x.b + u * (x.c + u * (x.d + u * x.e))), y.a + u * (y.b + u * (y.c + u * (y.d + u * y.e)))
@@ -147,11 +147,11 @@ def local_ideal_to_local_pixel_and_derivatives(lens: Floats, x: float, y: float,
     """Local pixel of local ideal coordinates x, y, and derivatives.
 
     It is by a lens (2, TERMS), from a guess u, v.
-    Inverse of pixel_to_ideal.
+    Inverse of local_pixel_to_local_ideal.
     """
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
-        a, b = pixel_to_ideal(lens, u, v)
+        a, b = local_pixel_to_local_ideal(lens, u, v)
         (xu, xv), (yu, yv) = _change(lens[0], u, v), _change(lens[1], u, v)
         det = xu * yv - xv * yu
         ux, uy, vx, vy = yv / det, -xv / det, -yu / det, xu / det
@@ -311,7 +311,9 @@ def square_homography(quad: Floats, lens: Floats, centre: Floats, n: int, g: Flo
     """
     px, py = np.empty(4), np.empty(4)
     for c in range(4):
-        px[c], py[c] = pixel_to_ideal(lens, (quad[c, 0] - centre[0]) / centre[2], (quad[c, 1] - centre[1]) / centre[2])
+        px[c], py[c] = local_pixel_to_local_ideal(
+            lens, (quad[c, 0] - centre[0]) / centre[2], (quad[c, 1] - centre[1]) / centre[2]
+        )
     for c in range(4):
         a, b = (c + 1) % 4, (c + 2) % 4
         if not (px[a] - px[c]) * (py[b] - py[a]) - (py[a] - py[c]) * (px[b] - px[a]) > 1e-6:

@@ -20,9 +20,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.design import Camera
-from vision.corners import edge_pixels, local_lens_and_fit_start, square_fit, square_gauss_newton
+from vision.corners import edge_pixels, local_lens_and_fit_start, square_fit, square_gauss_newton_steps
 from vision.corners.edge_spread_function import LEVELS, NO_PROFILE, PLAIN_EDGE_SPREAD, EdgeSpread
-from vision.predict import MarkerMap, expected_marker_rows_and_corners_in_image, marker_cells
+from vision.marker_corner_prediction import MarkerMap, expected_marker_rows_and_corners_in_image, marker_cells
 
 CELL_PIXELS = 8  # pixels each way that are sampled in a cell
 # of a candidate's perimeter, within which another one is taken for the same marker. OpenCV's 0.125 takes the marker and
@@ -115,12 +115,12 @@ LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _NEXT = [1, 2, 3, 0]
 _UNREAD = "its bits cannot be read at the expected place"
 _REASONS = {
-    square_gauss_newton.NO_PIXELS: "too few pixels",
-    square_gauss_newton.SINGULAR: "its corners are not determined",
-    square_gauss_newton.WANDERED: "the fit turned over",
-    square_gauss_newton.NO_CONTRAST: "white is no brighter than black",
-    square_gauss_newton.UNSETTLED: "the fit did not settle",
-    square_gauss_newton.NOT_READ: _UNREAD,
+    square_gauss_newton_steps.NO_PIXELS: "too few pixels",
+    square_gauss_newton_steps.SINGULAR: "its corners are not determined",
+    square_gauss_newton_steps.WANDERED: "the fit turned over",
+    square_gauss_newton_steps.NO_CONTRAST: "white is no brighter than black",
+    square_gauss_newton_steps.UNSETTLED: "the fit did not settle",
+    square_gauss_newton_steps.NOT_READ: _UNREAD,
 }
 
 
@@ -385,11 +385,11 @@ def _reasons(fits: square_fit.Fits, quads: Floats, size: int) -> list[str]:
 
 def _reason(status: int, cell: float, wandered: bool, noise: float, contrast: float, doubted: float) -> str:
     """Why a marker is left out, or "" where it is not."""
-    if status == square_gauss_newton.NOT_READ:
+    if status == square_gauss_newton_steps.NOT_READ:
         return _UNREAD
     if cell < SMALLEST_CELL:
         return f"too small: a cell is {cell:.1f} px"
-    if status != square_gauss_newton.OK:
+    if status != square_gauss_newton_steps.OK:
         return _REASONS[status]
     if contrast < LEAST_CONTRAST * noise:
         return (

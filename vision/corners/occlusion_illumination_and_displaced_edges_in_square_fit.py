@@ -25,7 +25,7 @@ from vision.corners.blurred_edge_image_model_and_numba_kernels import (
 )
 from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
 from vision.corners.edge_pixels import KINDS, LEVEL, MEETING, EdgePixels
-from vision.corners.square_gauss_newton import LIGHT, UNKNOWNS, Square, Work
+from vision.corners.square_gauss_newton_steps import LIGHT, UNKNOWNS, Square, Work
 
 SIDE = 0.1  # of the information that the best seen cell's side has; one with less does not count
 SIDES = (

@@ -46,7 +46,7 @@ from vision.corners.occlusion_illumination_and_displaced_edges_in_square_fit imp
     mark_occluded_cells,
     remove_occluded_pixels,
 )
-from vision.corners.square_gauss_newton import (
+from vision.corners.square_gauss_newton_steps import (
     LIGHT,
     NO_CONTRAST,
     NO_PIXELS,

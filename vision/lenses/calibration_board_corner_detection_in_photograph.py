@@ -22,9 +22,9 @@ from scipy.special import ndtr
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.design import Camera
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.corners.marker_detection_and_corner_fit import detect_markers, grey_images_for_reader_and_fit
-from vision.predict import MarkerMap
+from vision.marker_corner_prediction import MarkerMap
 
 ITERATIONS = 40
 SETTLING = 8  # iterations

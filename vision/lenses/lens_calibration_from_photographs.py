@@ -15,9 +15,9 @@ from rig.errors import FileError, NotEnoughData, RigError
 from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.design import Camera
 from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
-from vision.corner_observations import Observations
+from vision.corner_observations_and_merging import Observations
 from vision.lenses.calibration_board_corner_detection_in_photograph import BoardView, find_board_corners
-from vision.lenses.lens_calibration import (
+from vision.lenses.lens_calibration_from_board_views import (
     LEAST_CORNERS,
     MODELS,
     Fit,

@@ -13,9 +13,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
-from vision import lens
-from vision.pose.pose_refinement_and_ambiguity_resolution import AHEAD, GATE, refine_pose
-from vision.predict import SQUARE, MarkerMap
+from vision import opencv_lens_model as lens
+from vision.marker_corner_prediction import SQUARE, MarkerMap
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import AHEAD, GATE, refine_pose
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
 FINEST = 0.02  # px; a robust scale below this is rounding, not noise

@@ -14,7 +14,8 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.design import Camera
 from rig.model.pose import transform_points
-from vision.corner_observations import Observations
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import MarkerMap
 from vision.pose.body_pose import (
     CONSENSUS,
     BodyCorners,
@@ -24,12 +25,11 @@ from vision.pose.body_pose import (
     inverse_pose,
     undistorted_corners_and_covariance,
 )
-from vision.pose.pose_refinement_and_ambiguity_resolution import (
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import (
     Poses,
     choose_poses_by_neighbours,
     rotation_outlier_reasons_by_frame,
 )
-from vision.predict import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
 TOGETHER = 16  # frames that one process locates before it takes more
@@ -170,7 +170,7 @@ def locate_cameras_without_base_targets(
     return {i: RigidTransform.from_components(shift, turn) * T for i, T in found.items()}
 
 
-def locate_frames(
+def locate_platform_and_moving_cameras(
     undistorted_corners: UndistortedCorners,
     cameras: Sequence[Camera],
     t: Floats | None = None,
@@ -270,7 +270,7 @@ def camera_poses_from_body_poses(
 
     Of doubtful fixed cameras; the bodies' poses are by the other cameras.
     frames : Frames by all cameras as they are; cameras_placed_by_base : indices of the cameras that the base placed; t
-        : (F,) s, as of `locate_frames`
+        : (F,) s, as of `locate_platform_and_moving_cameras`
     progress : called with (done, of), or None
     """
     loose = [
@@ -282,7 +282,7 @@ def camera_poses_from_body_poses(
     ]
     if not loose or len(loose) == len(cameras):
         return {}
-    by_others = locate_frames(
+    by_others = locate_platform_and_moving_cameras(
         undistorted_corners.take(~np.isin(undistorted_corners.observations.camera, loose)), cameras, t, progress
     )
     placed = {i: _placed(undistorted_corners, by_others, i) for i in loose}

@@ -18,10 +18,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
-from vision.corner_observations import Observations
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import SQUARE, MarkerMap
 from vision.pose.body_pose import RIVAL, inverse_pose, undistorted_corners_and_covariance
-from vision.pose.pose_refinement_and_ambiguity_resolution import AHEAD
-from vision.predict import SQUARE, MarkerMap
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import AHEAD
 
 TURN = 0.2  # rad; relative poses of a pair of markers that turn by less agree
 SHIFT = 0.5  # of the markers' side; and those that are closer

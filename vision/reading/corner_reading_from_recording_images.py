@@ -19,7 +19,7 @@ from rig.model.design import Camera, Design
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.exposures_and_image_files import read_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Recording
-from vision.corner_observations import correlations_of_whitened_marker_corners
+from vision.corner_observations_and_merging import correlations_of_whitened_marker_corners
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
 from vision.corners.marker_detection_and_corner_fit import (
     Detection,
@@ -30,13 +30,13 @@ from vision.corners.marker_detection_and_corner_fit import (
     grey_images_for_reader_and_fit,
     read_markers,
 )
-from vision.predict import MarkerMap, expected_marker_rows_and_corners_in_image
+from vision.marker_corner_prediction import MarkerMap, expected_marker_rows_and_corners_in_image
 from vision.reading import marker_identity_mistakes_and_expected_marker_places
-from vision.reading.parallel_image_map_marker_rendering_and_white_level import (
+from vision.reading.parallel_image_map_marker_images_and_white_level import (
     map_images_in_processes,
     map_images_in_threads,
 )
-from vision.recording_adjustment import Measurement
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
 ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together
@@ -143,7 +143,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = (
-        marker_identity_mistakes_and_expected_marker_places.learn_expected_places(
+        marker_identity_mistakes_and_expected_marker_places.learn_expected_marker_places(
             recording, *corners_and_correlation_from_detections(rows), _repeated(_left_out(rows)), marker_map
         )
         if len(rest) > len(taught)

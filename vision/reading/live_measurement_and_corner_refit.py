@@ -29,7 +29,7 @@ from rig.model.pose import adjoint
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.exposures_and_image_files import read_image
 from rig.recording.recording_folder import Recording
-from vision.corner_observations import Observations, empty_observations, observations_from_corners
+from vision.corner_observations_and_merging import Observations, empty_observations, observations_from_corners
 from vision.corners import local_lens_and_fit_start
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread
 from vision.corners.marker_detection_and_corner_fit import (
@@ -40,17 +40,32 @@ from vision.corners.marker_detection_and_corner_fit import (
     fit_read_markers,
     grey_image_at_full_depth,
 )
+from vision.marker_corner_prediction import (
+    MarkerMap,
+    State,
+    expected_marker_rows_and_corners_in_image,
+    marker_map,
+    predict_corners,
+)
 from vision.pose.body_pose import FINEST
-from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_fixed_cameras, locate_frames
-from vision.predict import MarkerMap, State, expected_marker_rows_and_corners_in_image, marker_map, predict_corners
+from vision.pose.frame_and_camera_poses import (
+    UndistortedCorners,
+    locate_fixed_cameras,
+    locate_platform_and_moving_cameras,
+)
 from vision.reading.corner_reading_from_recording_images import (
     Collected,
     corners_and_correlation_from_detections,
     group_corners_by_image,
     learn_camera_edge_spread,
 )
-from vision.reading.parallel_image_map_marker_rendering_and_white_level import map_images_in_processes
-from vision.recording_adjustment import Measurement, design_seen_from_hand, has_hand_cameras, measure_observations
+from vision.reading.parallel_image_map_marker_images_and_white_level import map_images_in_processes
+from vision.recording_adjustment_with_hand_and_stages import (
+    Measurement,
+    design_seen_from_hand,
+    has_hand_cameras,
+    measure_observations,
+)
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
 ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what the one before was off by
@@ -336,7 +351,7 @@ class Live:
             return nothing
         cameras = self.cameras if self._measurement is not None else self._resected(corners)
         undistorted_corners = UndistortedCorners(observed, cameras, self.markers, FINEST)
-        found = locate_frames(undistorted_corners, cameras)
+        found = locate_platform_and_moving_cameras(undistorted_corners, cameras)
         if 0 not in found.poses:
             return replace(nothing, reason=found.unsolved[0])
         T = RigidTransform.from_matrix(found.poses[0])

@@ -22,11 +22,9 @@ from rig.model.design import Camera, Design
 from rig.model.pose import exp, pose_difference
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
-from vision.corner_observations import observations_from_corners
+from vision.corner_observations_and_merging import observations_from_corners
 from vision.corners.marker_detection_and_corner_fit import opencv_detector, read_marker_ids
-from vision.pose.body_pose import FINEST
-from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_frames
-from vision.predict import (
+from vision.marker_corner_prediction import (
     MarkerMap,
     Sightings,
     State,
@@ -35,7 +33,9 @@ from vision.predict import (
     predict_sightings,
     sightings_of_markers_facing_cameras,
 )
-from vision.recording_adjustment import Measurement, measure_observations
+from vision.pose.body_pose import FINEST
+from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_platform_and_moving_cameras
+from vision.recording_adjustment_with_hand_and_stages import Measurement, measure_observations
 
 LEAST = 3  # sightings from which anything is said of a marker
 MOSTLY = 0.5  # share of a marker's sightings that are set aside, from which it is reported whatever it looks like
@@ -298,14 +298,16 @@ class Expectation:
         """T_base_platform of a frame from its Corners alone, or None."""
         observations = observations_from_corners(corners, np.array([frame]), design, self.markers)
         poses = (
-            locate_frames(UndistortedCorners(observations, self.cameras, self.markers, FINEST), self.cameras).poses
+            locate_platform_and_moving_cameras(
+                UndistortedCorners(observations, self.cameras, self.markers, FINEST), self.cameras
+            ).poses
             if len(observations)
             else {}
         )
         return RigidTransform.from_matrix(poses[0]) if 0 in poses else None
 
 
-def learn_expected_places(
+def learn_expected_marker_places(
     recording: Recording, corners: Corners, correlation: Floats, repeated_ids: Sequence[int], markers: MarkerMap
 ) -> Expectation | None:
     """Expectation of marker places, learned from the corners of fully searched images.

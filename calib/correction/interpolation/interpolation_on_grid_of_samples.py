@@ -34,7 +34,7 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError
-from rig.model.mechanisms.hexapod_kernels import EACH, run_in_threads
+from rig.model.mechanisms.hexapod_kernels import EACH, run_kernel_in_threads
 
 SAME = 1e-5  # of the stroke, within which commands are one level: they are written to a tenth of a micrometre
 PART = 1 / 3  # of the samples at the fullest level of an axis, that a level has at least which lost vertices
@@ -322,7 +322,7 @@ class Simplex(Grid):
         if len(flat) < 2 * EACH:
             kernel(flat, *self.tables, out)
         else:
-            run_in_threads(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
+            run_kernel_in_threads(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
         return out.reshape(*x.shape[:-1], -1)
 
     def fixed_points(self, goal: Floats, tolerance: float) -> tuple[Floats, Floats]:
@@ -331,7 +331,9 @@ class Simplex(Grid):
         """
         commands, change = np.empty(goal.shape), np.empty(len(goal))
         kernel = compiled_simplex_kernels(goal.shape[1]).fixed_points
-        run_in_threads(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
+        run_kernel_in_threads(
+            lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal)
+        )
         return commands, change
 
     def weights(self, x: Floats) -> Weights:

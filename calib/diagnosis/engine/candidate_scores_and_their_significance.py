@@ -26,7 +26,7 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     normal_equations_by_direction_weights,
 )
 from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
-from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
+from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
 from rig.array_and_json_types import Booleans, Floats
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 

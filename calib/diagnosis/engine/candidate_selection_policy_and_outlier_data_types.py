@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from calib.identify.bounded_least_squares_and_robust_fit import MOST
+from calib.identify.bounded_and_robust_least_squares_fit import MOST
 from rig.array_and_json_types import Floats
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr

@@ -20,7 +20,7 @@ from scipy.special import gammaln
 
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED, FrameProducts
 from calib.diagnosis.engine.linear_model import LinearModel
-from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 # value, low, high of a number, or of the numbers of a vector

@@ -172,7 +172,7 @@ SHAPE = 2.30 * WIDTH
 NODES = 60  # of the quadrature for the kernel's transform
 
 
-def sinusoid_sums(q: Floats, values: Floats, step: float, first: int, count: int) -> Floats:
+def sinusoid_weighted_sums(q: Floats, values: Floats, step: float, first: int, count: int) -> Floats:
     """Sums (count, p), complex, of values times sinusoids of q at evenly spaced orders.
 
     Over poses, values * exp(1j * order * q) at orders step * (first, first + 1, ..).

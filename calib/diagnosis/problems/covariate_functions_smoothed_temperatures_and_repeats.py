@@ -18,11 +18,11 @@ from scipy.spatial import cKDTree
 from calib.diagnosis.engine.cross_validation_and_chance import Interval
 from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Formula, Library, Quantity
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE, quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written
-from rig.model.motion_simulation import ABOUT
+from rig.model.machine_motion_simulation import ABOUT
 from rig.recording.recording_folder import Commands, Sensors
 
 DEGREES = (

@@ -16,7 +16,7 @@ from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED
 from calib.diagnosis.engine.problem_interface import Fit
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Candidate as EffectCandidate
+from rig.effects.framework.effect_base_class import Candidate as EffectCandidate
 from rig.effects.framework.parameters_covariates_and_marker_table import QUADRATURE, Parameter
 
 NODES = 7  # of a grid that are looked at, evenly over it
@@ -93,13 +93,13 @@ class NodeLook(NamedTuple):
         return own / float(self.node[size.parameter.name]) ** 2 if self.whole else own
 
 
-def sampled_nodes(grid: Sequence[Node]) -> list[Node]:
+def evenly_spaced_grid_nodes(grid: Sequence[Node]) -> list[Node]:
     """A few nodes, evenly over a grid."""
     at = np.unique(np.linspace(0, len(grid) - 1, min(len(grid), NODES)).round().astype(int))
     return [grid[i] for i in at]
 
 
-def mean_square(moved: Floats) -> Floats:
+def mean_square_displacement_matrix(moved: Floats) -> Floats:
     """Mean square (q, q) of what moves (n, a, q) per unit of each coefficient."""
     return np.einsum("nai,naj->ij", moved, moved) / len(moved)
 
@@ -138,7 +138,7 @@ def detectable_size(
     return DetectableSize(candidate.name, candidate.place, parameter.name, parameter.unit, size, is_greatest)
 
 
-def smallest_of_each_place(sizes: Iterable[DetectableSize]) -> list[DetectableSize]:
+def smallest_detectable_size_by_place(sizes: Iterable[DetectableSize]) -> list[DetectableSize]:
     """Smallest of an effect's sizes at each place.
 
     They are of its variants, in the order of the search; of an effect that one number tells, those by that number.

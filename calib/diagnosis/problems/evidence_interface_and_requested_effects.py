@@ -26,7 +26,7 @@ from calib.diagnosis.engine.term_confirmation_against_alternative_candidates imp
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import Repeats, Suggestion
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design

@@ -24,7 +24,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from rig.effects.catalogue.effect_list import Plugin
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.recording.recording_folder import RecordingPart
 
@@ -250,17 +250,17 @@ def recording_entries(parts: tuple[RecordingPart, ...]) -> tuple[RecordingEntry,
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
 
-def json_tree(value: object) -> object:
+def json_tree_of_dataclasses(value: object) -> object:
     """JSON tree of dicts and lists.
 
     Of dataclasses, optional fields that are None or empty are left out.
     """
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
-        return {name: json_tree(v) for name, v in items.items() if v is not None}
+        return {name: json_tree_of_dataclasses(v) for name, v in items.items() if v is not None}
     if isinstance(value, dict):
-        return {name: json_tree(v) for name, v in value.items()}
-    return [json_tree(v) for v in value] if isinstance(value, (list, tuple)) else value
+        return {name: json_tree_of_dataclasses(v) for name, v in value.items()}
+    return [json_tree_of_dataclasses(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
 def kind_of_prior_statement_on_effect(stated_terms: StatedTerms, effect: str, place: str) -> str | None:

@@ -11,20 +11,20 @@ from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report import diagnosis_sentences_and_table_rows
 from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_row
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, diagnosis_verdict
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import Report, diagnosis_verdict
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
-    captioned_html,
     collapsible_section_html,
+    figures_with_caption_html,
     heading_html,
     paragraph_html,
     table_html,
 )
 from rig.report.pages.image_plane_and_3d_views import view_3d_scripts_if_needed
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
-from rig.report.pages.plots import figures_side_by_side_html
+from rig.report.pages.svg_plots import figures_side_by_side_html
 
 
 class MachineFigures(Protocol):
@@ -76,7 +76,7 @@ def write_diagnosis_page(
     if report.findings:
         parts += [
             heading_html("Where"),
-            captioned_html(
+            figures_with_caption_html(
                 machine_figures.where([f.place for f in (*main, *report.unknown, *slight)]),
                 "The machine in outline, not to a stated scale. Coloured: the places of the findings. Good: nothing is "
                 "coloured.",
@@ -175,7 +175,7 @@ def _sketched(name: str) -> list[str]:
     return [
         collapsible_section_html(
             caption,
-            captioned_html(
+            figures_with_caption_html(
                 figures_side_by_side_html(*sketch.figures),
                 f"From the catalogue of effects: {sketch.words}. Not of this machine: compare its shape with the "
                 "figure above. Good evidence: both look alike.",
@@ -261,7 +261,8 @@ def _left_out(report: Report) -> list[str]:
         rows = [diagnosis_sentences_and_table_rows.excluded_outlier_texts(one) for one in report.left_out]
         parts += [
             paragraph_html(
-                f"{diagnosis_sentences_and_table_rows.row_count_text(len(rows))} far from all that the rest of the "
+                f"{diagnosis_sentences_and_table_rows.row_count_and_verb_text(len(rows))} far from all that the rest "
+                "of the "
                 "recording allows, and no neighbour in time or configuration shows the same. The findings do not use "
                 "these rows."
             ),

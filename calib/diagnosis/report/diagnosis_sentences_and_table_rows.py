@@ -118,7 +118,7 @@ def excluded_outlier_texts(outlier: LeftOut) -> tuple[str, str, str, str]:
     )
 
 
-def row_count_text(count: int) -> str:
+def row_count_and_verb_text(count: int) -> str:
     """Text of a count of rows with its verb, singular or plural."""
     return "1 row is" if count == 1 else f"{count} rows are"
 

@@ -33,10 +33,16 @@ from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.recording.recording_folder import Recording
-from rig.report.pages.html_and_svg_elements import captioned_html, heading_html, note_html, paragraph_html, table_html
+from rig.report.pages.html_and_svg_elements import (
+    figures_with_caption_html,
+    heading_html,
+    note_html,
+    paragraph_html,
+    table_html,
+)
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect, view_3d_html
 from rig.report.pages.image_plane_and_3d_views import DrawnEffect as Shown
-from rig.report.pages.plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 
 ARM_PLAYED = 4  # findings that are shown in three dimensions
 ROWS = (
@@ -157,7 +163,7 @@ class ArmFigures:
                     "The poses most displaced by all findings, a bar for each finding, the largest first. "
                     "contributions.csv has them for every pose."
                 ),
-                captioned_html(
+                figures_with_caption_html(
                     residual_figures_and_finding_contributions.worst_pose_contribution_figure(
                         self.evidence, d.selection
                     ),
@@ -209,7 +215,7 @@ class ArmFigures:
         if d.repeats is not None:
             ends = np.array([0.0, len(d.held[0].after) - 1.0])
             series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command repeated", "line", -1))
-        return captioned_html(
+        return figures_with_caption_html(
             plot_panel_svg("held-out errors", ("pose", f"error, µ{self.fit.arms.unit}"), series, log=True),
             f"Error of each held-out pose (µ{self.fit.arms.unit}), by the geometry alone and with the effects. Good: "
             "with effects it is lower, near the line of repeated commands. Bad: both series overlap.",
@@ -302,7 +308,7 @@ def _levels(d: Diagnosis, struts: Floats) -> str:
         )
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
-    return captioned_html(
+    return figures_with_caption_html(
         figures_side_by_side_html(
             *(
                 bar_chart_svg(

@@ -14,7 +14,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.problem_interface import Fit
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses, PoseContributions
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import is_image_only_effect
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
@@ -28,11 +28,11 @@ from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_c
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.residual_figure_captions import BARS, DOTS, IN_TIME, MAP
 from rig.array_and_json_types import Floats, Integers, Json
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect_base_class import REFERENCE_TEMPERATURE, Effect
 from rig.recording.corner_and_pose_csv_tables import write_table
-from rig.report.pages.html_and_svg_elements import captioned_html, svg_figure, svg_text, svg_tooltip
-from rig.report.pages.image_plane_and_3d_views import Arrows, image_plane_figure, patch_means
-from rig.report.pages.plots import COLOURS, Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.html_and_svg_elements import figures_with_caption_html, svg_figure, svg_text, svg_tooltip
+from rig.report.pages.image_plane_and_3d_views import Arrows, image_patch_means, image_plane_figure
+from rig.report.pages.svg_plots import COLOURS, Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 
 WORST = 24  # poses that are drawn
 ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
@@ -131,7 +131,7 @@ def residual_scatter_figure(
             for at, values, title, colour, below, more in panes
         )
     )
-    return captioned_html(figures, DOTS)
+    return figures_with_caption_html(figures, DOTS)
 
 
 def _means(x: Floats, values: Floats, colour: int) -> Series:
@@ -169,7 +169,7 @@ def residuals_in_time_figure(title: str, t: Floats, values: Floats, residual_lab
         AFTER,
     )
     series = [Series(t / 60, values, colour=GREY), mean]
-    return captioned_html(plot_panel_svg(title, ("time, min", residual_label), series, level=0.0), IN_TIME)
+    return figures_with_caption_html(plot_panel_svg(title, ("time, min", residual_label), series, level=0.0), IN_TIME)
 
 
 CELLS = 14  # of a residual map, across the image
@@ -218,7 +218,7 @@ def effect_residual_figures(refinement: Refinement, effect_index: int) -> str:
         residuals_without_effects(refinement, (effect_index,)),
         residuals_without_effects(refinement),
     )
-    if not affects_images_only(effect):
+    if not is_image_only_effect(effect):
         x, label, y = _strut_view(effect, k, struts_before, struts_after)
         return residual_scatter_figure(x, label, [v * 1e6 for v in y], "strut, µm")
     own = _own(effect, k)
@@ -338,7 +338,7 @@ def _bars(effect: Effect, k: OperatingPoint, before: Floats, after: Floats) -> s
         for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))
     ]
     title = f"residuals of every {'cube' if by_target else 'marker'}, RMS"
-    return captioned_html(bar_chart_svg(title, labels, groups, "px", [effect.site.name]), BARS)
+    return figures_with_caption_html(bar_chart_svg(title, labels, groups, "px", [effect.site.name]), BARS)
 
 
 def mean_residual_figures_over_camera_image(
@@ -354,7 +354,7 @@ def mean_residual_figures_over_camera_image(
     o = point.observed.observations
     camera = point.design.cameras[o.camera[corner_rows[0]]]
     cell = camera.width / CELLS
-    drawn = [patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
+    drawn = [image_patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
     figures = figures_side_by_side_html(
         *(
@@ -367,7 +367,7 @@ def mean_residual_figures_over_camera_image(
             for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))
         )
     )
-    return captioned_html(figures, MAP)
+    return figures_with_caption_html(figures, MAP)
 
 
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile

@@ -17,12 +17,12 @@ from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Planar2
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms import mechanism_chain as chains
 from rig.model.pose import transform_points
 from rig.report.pages.html_and_svg_elements import WIDTH, list_html, svg_figure, svg_text, svg_tooltip
-from rig.report.pages.plots import figures_side_by_side_html
-from vision.predict import marker_map
+from rig.report.pages.svg_plots import figures_side_by_side_html
+from vision.marker_corner_prediction import marker_map
 
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
 MARKS = (3, 1, 4, 5, 2, 0)  # colours of the first, second, .. finding

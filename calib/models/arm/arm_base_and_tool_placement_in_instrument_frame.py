@@ -16,13 +16,13 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.error_model_and_observations import Observations, tool_parameter_slice
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_error_model_and_instrument_observations import Observations, tool_parameter_slice
 from rig.array_and_json_types import Floats
 from rig.errors import NotEnoughData, RigError
 from rig.model.arm_hands_effect_places_and_tolerances import selected_hand_name
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import log
 
 LEAST = {"pose": 3, "position": 6, "orientation": 4, "distance": 10, "direction": 4}
@@ -201,11 +201,13 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
     maker's rows (n, 5).
     """
     posed, sigma = observations.kind == "pose", _sigma(observations)
-    count, tool = len(error_model_and_observations.parameter_names(arm)), tool_parameter_slice(arm)
+    count, tool = len(arm_error_model_and_instrument_observations.parameter_names(arm)), tool_parameter_slice(arm)
     free, prior = np.zeros(count, bool), np.zeros(count)
     free[:6], free[tool] = unknown
     free[tool.stop - 3 : tool.stop] &= posed
-    zeros = error_model_and_observations.joint_zero_indices(arm)[1:]  # all but the first, which is the base's
+    zeros = arm_error_model_and_instrument_observations.joint_zero_indices(arm)[
+        1:
+    ]  # all but the first, which is the base's
     prior[:6], prior[tool] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
     start = arm
@@ -218,7 +220,7 @@ def _refined(observations: Observations, arm: Arm, rows: Floats, unknown: tuple[
         step = np.zeros(len(free))
         while damping < 1e8:
             step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
-            trial = error_model_and_observations.arm_with_parameter_step(arm, step)
+            trial = arm_error_model_and_instrument_observations.arm_with_parameter_step(arm, step)
             new = _Misfit.of(observations, trial, start, rows, prior)
             if new.cost(at.scale) <= at.cost(at.scale):
                 break

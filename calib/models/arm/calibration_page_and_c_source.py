@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.held_out_errors import Figures, errors_before_and_after_correction
+from calib.certification.held_out_pose_error_statistics import Figures, errors_before_and_after_correction
 from calib.correction.correction_fields_as_c_functions import CTables
 from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import (
     FIELDS,
@@ -29,10 +29,10 @@ from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import
     joined_c_parts,
 )
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import CertifiedArm
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.identification_and_joint_profiles import Profile
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import CertifiedArm
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_identification_and_joint_profiles import Profile
 from calib.models.arm.tilt_observations import tilt_report
 from calib.report.platform_and_lens_calibration_pages import (
     evidence_html,
@@ -51,15 +51,15 @@ from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import hand_motion_direction_counts
 from rig.recording.recording_folder import Recording
 from rig.report.pages.html_and_svg_elements import (
-    captioned_html,
     collapsible_section_html,
+    figures_with_caption_html,
     heading_html,
     paragraph_html,
     section_html,
     table_html,
 )
 from rig.report.pages.page_templates_and_index_page import Link
-from rig.report.pages.plots import Series, figures_side_by_side_html, plot_panel_svg
+from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
 
 
 def write_arm_calibration_page(
@@ -84,7 +84,7 @@ def write_arm_calibration_page(
         *section_html("At poses that were not fitted", _held(certified) + evidence_html(calibration)),
         *view_3d_html(recording, calibration, samples),
         heading_html("Correction of each joint"),
-        captioned_html(
+        figures_with_caption_html(
             _profiles(calibration, samples),
             "Correction of each joint along the visited configurations (mrad or mm), excluding its offset. Good: a "
             "narrow band, or a smooth wave. Bad: dots without a pattern that are larger than the noise.",
@@ -163,7 +163,8 @@ def _arm_parameters(calibration: Calibration) -> str:
     units = [
         f"{name}, {'mm' if unit == 'm' else 'mrad'}"
         for name, unit in zip(
-            error_model_and_observations.ROW, error_model_and_observations.parameter_units(fitted)[6:11]
+            arm_error_model_and_instrument_observations.ROW,
+            arm_error_model_and_instrument_observations.parameter_units(fitted)[6:11],
         )
     ]
     return table_html(("change from nominal (k = 2)", *units), rows)

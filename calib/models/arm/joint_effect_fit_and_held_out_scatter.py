@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from calib.certification.held_out_errors import (
+from calib.certification.held_out_pose_error_statistics import (
     HeldErrors,
     mean_square_held_out_errors_by_configuration,
     mean_square_pose_errors_caused_by_parameters,
@@ -21,11 +21,11 @@ from calib.correction.physical_effects_of_calibration_and_their_compensation imp
     poses_with_predicted_rotations,
     samples_with_effects,
 )
-from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import observation_jacobian, observations_of_samples
-from calib.models.arm.identification_and_joint_profiles import (
+from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_error_model_and_instrument_observations import observation_jacobian, observations_of_samples
+from calib.models.arm.arm_identification_and_joint_profiles import (
     Identified,
     identify_arm,
     independent_arm_parameter_mask,
@@ -34,14 +34,14 @@ from calib.models.arm.identification_and_joint_profiles import (
 from calib.models.arm.tilt_observations import TiltWeights, link_rotation_jacobian_by_joints, tilt_equation_rows
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,
     effects_with_coordinates,
     fit_coordinates_of_effects,
 )
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.base_and_link_tilt_sensors import TiltReadings
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm
@@ -217,7 +217,7 @@ class WhitenedSamples:
 
     def whitened(self, columns: Columns) -> Floats:
         """(m k + j, c) of Columns (n, ..)."""
-        J = error_model_and_observations.joint_jacobian(self.q, self.arm, self.hand)
+        J = arm_error_model_and_instrument_observations.joint_jacobian(self.q, self.arm, self.hand)
         moved = J @ columns.joints + columns.hand
         seen = self.W @ observation_jacobian(self.kind, moved, self.q, self.arm, self.hand)[self.inliers]
         seen = seen.reshape(seen.shape[0] * seen.shape[1], seen.shape[2])
@@ -364,7 +364,7 @@ def mean_square_arm_errors_caused_by_parameters(
 
 def _fitted(found: Identified, correction: ArmCorrection, agreed: Samples) -> tuple[Floats, Floats, Floats]:
     """(jacobian (m, 6, p), covariance (p, p), noise (m, 6, 6)) of a fit."""
-    J = error_model_and_observations.parameter_jacobian(agreed.commanded, correction.fitted, agreed.hand)
+    J = arm_error_model_and_instrument_observations.parameter_jacobian(agreed.commanded, correction.fitted, agreed.hand)
     return J, found.covariance, observations_of_samples(agreed).covariance + np.diag(found.scatter**2)
 
 

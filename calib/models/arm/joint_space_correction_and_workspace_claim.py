@@ -31,7 +31,7 @@ from calib.certification.configuration_space_correction_certification import (
     empty_claim_without_held_out_data,
     extension_in_words,
 )
-from calib.certification.held_out_errors import draw_mean_square_common_pose_errors
+from calib.certification.held_out_pose_error_statistics import draw_mean_square_common_pose_errors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     LEAST,
     axis_travel_limits,
@@ -42,10 +42,16 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.certification.platform_certification import FOLDS, Progress, silent_progress
 from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, FieldSamples
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import UNPLACED, CertifiedArm, calibrate_arm, placed_nominal_arm, start_arm_of_fit
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import (
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import (
+    UNPLACED,
+    CertifiedArm,
+    calibrate_arm,
+    placed_nominal_arm,
+    start_arm_of_fit,
+)
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_error_model_and_instrument_observations import (
     PLAUSIBLE,
     Observations,
     Rank,
@@ -54,7 +60,11 @@ from calib.models.arm.error_model_and_observations import (
     parameter_jacobian,
     predicted_target_poses,
 )
-from calib.models.arm.identification_and_joint_profiles import Identified, identify_arm, independent_arm_parameter_mask
+from calib.models.arm.arm_identification_and_joint_profiles import (
+    Identified,
+    identify_arm,
+    independent_arm_parameter_mask,
+)
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import (
     held_out_geometry_errors,
     identification_with_held_out_scatter,
@@ -66,14 +76,14 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import FILL, sobol_configurations
 
 PLACES_HELD = 256  # at which a single step is held against the fixed point, and what is promised is worked out
 
 
-def joint_correction_field_samples(samples: Samples, arm: Arm, common_error_draw: Floats) -> FieldSamples:
+def joint_correction_summands_for_interpolation(samples: Samples, arm: Arm, common_error_draw: Floats) -> FieldSamples:
     """Samples for a field of joint correction summands, rad or m.
 
     Common errors are removed.
@@ -157,7 +167,7 @@ def certify_arm_correction_extension(
     def stand(some: Samples) -> ExtensionBasis:
         plain, by = whole if some is samples else geometry(some)
         return ExtensionBasis(
-            joint_correction_field_samples(some, plain.fitted, by.shared),
+            joint_correction_summands_for_interpolation(some, plain.fitted, by.shared),
             lambda field: replace(plain, extension=field),
             lambda field, at: _mean_square_field_error(field, at, plain.fitted),
         )
@@ -193,10 +203,10 @@ def nominal_arm_correction(
     """
     o = observations_of_samples(samples)
     arm = placed_nominal_arm(o, nominal, instrument, start)
-    return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), unfitted_arm(o, arm)
+    return ArmCorrection(arm, arm, (None,) * len(arm.joints), o.q), identified_arm_without_fit(o, arm)
 
 
-def unfitted_arm(observations: Observations, arm: Arm) -> Identified:
+def identified_arm_without_fit(observations: Observations, arm: Arm) -> Identified:
     """Unfitted arm (Identified).
 
     Nothing is fitted; it says what the arm leaves of observations.
@@ -218,7 +228,7 @@ def unfitted_arm(observations: Observations, arm: Arm) -> Identified:
 
 def _mean_square_field_error(field: Field, samples: Samples, arm: Arm) -> float:
     """m^2, mean square by which a Field says that positions of samples may be off."""
-    J = error_model_and_observations.joint_jacobian(samples.commanded, arm)[:, :3]
+    J = arm_error_model_and_instrument_observations.joint_jacobian(samples.commanded, arm)[:, :3]
     return float((J**2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 
@@ -243,7 +253,9 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     """
     correction = certified.correction
     each = mean_sample_per_configuration(
-        samples, certified.label, error_model_and_observations.joint_jacobian(samples.commanded, correction.fitted)
+        samples,
+        certified.label,
+        arm_error_model_and_instrument_observations.joint_jacobian(samples.commanded, correction.fitted),
     )
     information = ConfigurationInformation(
         len(each), 0, 0, 0, f"no parameters were fitted: the summands are extended by {extension_in_words(correction)}"
@@ -257,17 +269,21 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
         return empty_claim_without_held_out_data(information, middle)
     stated = float(
         mean_square_pose_errors_stated_by_extension(
-            correction, q, error_model_and_observations.joint_jacobian(q, correction.fitted)
+            correction, q, arm_error_model_and_instrument_observations.joint_jacobian(q, correction.fitted)
         )[0]
     )
     own = certified.left.own_draws(stated, DRAWS, rng) + draw_mean_square_common_pose_errors(samples, DRAWS, rng)
-    offset = pose_difference(error_model_and_observations.predicted_target_poses(q, correction.nominal), T)
+    offset = pose_difference(
+        arm_error_model_and_instrument_observations.predicted_target_poses(q, correction.nominal), T
+    )
     known = certified.found.covariance  # of what an earlier pass left
     draws = np.zeros((DRAWS, len(known)))
     if known.any():
         draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh")
     return claim_from_machine_draws(
-        Workspace(error_model_and_observations.parameter_jacobian(q, correction.fitted), offset, own, middle),
+        Workspace(
+            arm_error_model_and_instrument_observations.parameter_jacobian(q, correction.fitted), offset, own, middle
+        ),
         draws,
         each,
         information,
@@ -275,7 +291,7 @@ def claim_without_geometry(samples: Samples, certified: CertifiedArm, rng: np.ra
     )
 
 
-def single_step_correction_errors(correction: ArmCorrection) -> tuple[float, float]:
+def rms_and_greatest_joint_single_step_error(correction: ArmCorrection) -> tuple[float, float]:
     """Errors (RMS, greatest) rad or m of joints corrected in a single step.
 
     X + KSF(X) instead of to the fixed point.
@@ -293,7 +309,7 @@ def _summand(correction: ArmCorrection, q: Floats) -> Floats:
     nominal model: of a stretched arm it lies beyond its reach by micrometres, or on another branch."""
     if correction.deficient:
         return correction.summand(q)
-    found, rest = mechanism.solve_arm_inverse_by_damped_least_squares(
+    found, rest = mechanism.damped_least_squares_arm_inverse_and_error(
         correction.predict(q), correction.nominal, q, starts=0
     )
     return np.where(

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter
+from calib.identify.bounded_and_robust_least_squares_fit import excess_scatter
 from rig.array_and_json_types import Booleans, Floats
 from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor, tilt_residuals_and_jacobians
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 
 ROUNDS = 5  # of solving for the mounting, whose turns are small
 GATE = 6.0  # standard deviations beyond which a reading is left out

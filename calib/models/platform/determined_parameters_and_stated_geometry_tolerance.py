@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.bounded_least_squares_and_robust_fit import Visibility, parameter_visibility
-from calib.models.platform.identification import PRIOR, Identified
+from calib.identify.bounded_and_robust_least_squares_fit import Visibility, parameter_visibility
+from calib.models.platform.platform_identification import PRIOR, Identified
 from rig.array_and_json_types import Floats
 from rig.model.mechanism_geometry_classes import FileMechanism, Hexapod
 from rig.model.mechanisms import hexapod

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
-from calib.models.platform.identification import pose_parameter_jacobian
+from calib.models.platform.platform_identification import pose_parameter_jacobian
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import Hexapod

@@ -129,7 +129,7 @@ def parse_length(text: str) -> float:
     raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
 
 
-def quantity_parser(unit: str, plain: str) -> Callable[[str], float]:
+def make_quantity_parser(unit: str, plain: str) -> Callable[[str], float]:
     """Function that parses an option's quantity in an SI unit, with or without a unit after the number.
 
     plain : unit of a number alone, one of SUFFIXES[unit]

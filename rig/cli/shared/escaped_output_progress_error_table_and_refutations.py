@@ -21,9 +21,9 @@ from rig.formats.output_files.atomic_file_writing_and_process_locks import escap
 from rig.formats.output_files.staged_folder_and_manifest import file_sha256_or_empty
 
 if TYPE_CHECKING:
-    from calib.certification.held_out_errors import HeldOut
+    from calib.certification.held_out_pose_error_statistics import HeldOut
     from rig.report.verdict_refutations_and_result_display import Refutation, State
-    from vision.recording_adjustment import Measurement
+    from vision.recording_adjustment_with_hand_and_stages import Measurement
 
 
 class EscapedStream:

@@ -183,9 +183,9 @@ def known_effects(effect_files: tuple[Plugin, ...]) -> Kinds:
         from rig.effects.catalogue.effect_list import BY_NAME
 
         return BY_NAME
-    from rig.effects.catalogue.effect_list import catalogue_with_files
+    from rig.effects.catalogue.effect_list import effect_catalogue_with_user_files
 
-    return catalogue_with_files(effect_files)
+    return effect_catalogue_with_user_files(effect_files)
 
 
 def load_calibration(path: Path, effect_files: tuple[Plugin, ...], several_hands: bool = False) -> Calibration:

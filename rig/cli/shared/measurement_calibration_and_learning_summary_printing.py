@@ -10,9 +10,9 @@ from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_lines
 from calib.certification.claimed_error_reduction_over_workspace import Claim
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
-from calib.models.arm import certification as arm_certification
+from calib.models.arm import arm_certification as arm_certification
 from calib.models.arm.tilt_observations import tilt_report
-from calib.models.chain import certification_and_page as chain_certification
+from calib.models.chain import chain_certification_and_page as chain_certification
 from calib.workspace.workspace_page import workspace_lines
 from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
     print_frames_without_pose,
@@ -21,7 +21,7 @@ from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
 from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from vision.api import MeasurementResult, camera_time_lines
+from vision.api import MeasurementResult, camera_time_offset_and_readout_lines
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
 from vision.bundle.marker_and_target_displacements import Places
 
@@ -46,7 +46,7 @@ def print_measurement(result: MeasurementResult) -> None:
     if result.places:
         _print_places(result.places)
     _print_cameras(result)
-    for line in (*result.clocks, *camera_time_lines(result.measurement)):
+    for line in (*result.clocks, *camera_time_offset_and_readout_lines(result.measurement)):
         print(line)
     if result.determination is not None:
         print(result.determination.summary())

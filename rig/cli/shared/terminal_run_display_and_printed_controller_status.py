@@ -26,7 +26,7 @@ def print_controller_status(status: ControllerStatus, design: Design) -> None:
 
     With the pose that its lengths give by the nominal model.
     """
-    from rig.driving.axis_display_units_and_controller_counts import axes_word, values_text
+    from rig.driving.axis_display_units_and_controller_counts import axes_word, axis_values_text
     from rig.driving.controller_status_and_limits import operator_advice
     from rig.errors import NotConverged
     from rig.model import mechanisms
@@ -38,7 +38,7 @@ def print_controller_status(status: ControllerStatus, design: Design) -> None:
     if not status.known:
         print("position not known: " + ("home it" if homing else "verify it, then use --trust"))
     m = design.mechanism
-    print(f"{'lengths' if m.strut_joints is not None else axes_word(m)} {values_text(status.lengths, m)}")
+    print(f"{'lengths' if m.strut_joints is not None else axes_word(m)} {axis_values_text(status.lengths, m)}")
     if (m.plates is not None or m.strut_joints is None) and status.known:
         try:
             v = pose_to_vector(mechanisms.kinematics_of(design.mechanism).forward(status.lengths, design.mechanism))
@@ -160,7 +160,7 @@ def _minutes_and_seconds(seconds: float) -> str:
     return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
-def block_or_plain_line_terminal_display(asked: bool = False) -> PlainLineDisplay | TerminalBlockDisplay:
+def terminal_run_display(asked: bool = False) -> PlainLineDisplay | TerminalBlockDisplay:
     """Display of a run in the terminal: a block redrawn in place, or plain lines.
 
     A block redrawn in place, or plain lines where standard output is a pipe, and where an operator types between them:
@@ -169,7 +169,7 @@ def block_or_plain_line_terminal_display(asked: bool = False) -> PlainLineDispla
     return TerminalBlockDisplay() if sys.stdout.isatty() and not asked else PlainLineDisplay()
 
 
-def terminal_can_answer() -> bool:
+def is_operator_at_terminal() -> bool:
     """Whether somebody at a terminal can answer.
 
     A process in the background that reads from it is suspended.
@@ -206,11 +206,11 @@ def open_terminal_and_page_run_displays(
     Terminal, and the page where a port is given, served while the context lasts. asked : whether an operator at them
     is asked
     """
-    if asked and terminal_can_answer():
+    if asked and is_operator_at_terminal():
         threading.Thread(target=_take_answers, args=(observer, port is None), daemon=True).start()
     if port is None:
-        yield [block_or_plain_line_terminal_display(asked)]
+        yield [terminal_run_display(asked)]
         return
     with RunPage(observer, port) as page:
         print(f"the run's page, for this computer only: {page.url}", flush=True)
-        yield [block_or_plain_line_terminal_display(asked), page]
+        yield [terminal_run_display(asked), page]

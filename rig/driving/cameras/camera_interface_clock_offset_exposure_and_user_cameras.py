@@ -21,7 +21,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from rig.array_and_json_types import Pixels
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
     load_user_class,
     user_class_error,

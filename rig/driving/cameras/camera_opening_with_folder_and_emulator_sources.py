@@ -31,7 +31,7 @@ from rig.driving.cameras.opencv_uvc_gstreamer_and_network_cameras import (
     open_network_camera,
     open_uvc_camera,
 )
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
 from rig.model.protocol_port_and_user_program_name_checks import is_user_file_or_package

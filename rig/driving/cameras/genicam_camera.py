@@ -22,7 +22,7 @@ from rig.driving.cameras.genicam_harvester_interface_and_camera_discovery import
     Number,
     error_text,
 )
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.model.design import AS_IT_IS, CaptureSettings
 
 WAIT = 5.0  # s for a frame after its trigger

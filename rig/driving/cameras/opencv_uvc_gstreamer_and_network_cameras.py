@@ -20,7 +20,7 @@ from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras
     ClockOffset,
     Frame,
 )
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.model.design import AS_IT_IS, CaptureSettings
 
 READING = re.compile(r"(?!wrapper)[a-z0-9]+src")

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.protocols.poses_of_hexapod_controllers import MM, poses_of_xyz_mm_uvw_degrees
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import MM, poses_of_xyz_mm_uvw_degrees
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod
 

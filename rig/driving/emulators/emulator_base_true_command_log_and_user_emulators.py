@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import LineProtocol
 from rig.driving.protocols.protocol_selection_and_user_protocols import GROUP

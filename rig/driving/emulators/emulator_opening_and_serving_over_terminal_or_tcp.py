@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.axis_display_units_and_controller_counts import axes_word, parse_axis_values
-from rig.driving.clock import Clock, SimulatedClock
+from rig.driving.driving_clock import Clock, SimulatedClock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import (
     EmulatedMachine,
     Faults,

@@ -8,11 +8,11 @@ from urllib.parse import quote
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import MOTOR, EmulatedMachine, Faults
 from rig.driving.emulators.emulated_hexapod_controller_pose_geometry import EmulatedPlatform
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_frame, last_valid_frame_in_line
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_numbered_frame, last_valid_frame_in_line
 from rig.errors import NotConverged
 
 MM = 1e3
@@ -52,13 +52,13 @@ class EpicsMotors(Emulator):
         try:
             values = [self._value(*self._field(word.partition("=")[0])) for word in rest]
         except KeyError as error:
-            self.send(encode_frame("<", number, f"ERR the%20server%20has%20no%20{error.args[0]}").decode())
+            self.send(encode_numbered_frame("<", number, f"ERR the%20server%20has%20no%20{error.args[0]}").decode())
             return
         if "runs-after-error" in struck or "ok-after-error" in struck:
-            self.send(encode_frame("<", number, "ERR write%20failed").decode())
+            self.send(encode_numbered_frame("<", number, "ERR write%20failed").decode())
             if "runs-after-error" in struck:
                 return
-        self.send(encode_frame("<", number, f"OK {' '.join(values)}").decode(), acknowledges=verb == "PUT")
+        self.send(encode_numbered_frame("<", number, f"OK {' '.join(values)}").decode(), acknowledges=verb == "PUT")
 
     def _field(self, name: str) -> tuple[int, str]:
         motor, _, field = name.rpartition(".")

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulated_hexapod_controller_pose_geometry import EmulatedPlatform
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import AXES
 from rig.driving.protocols.gcs import HEXAPOD_UNITS, PIVOT
-from rig.driving.protocols.poses_of_hexapod_controllers import AXES
 from rig.errors import NotConverged
 from rig.model import mechanisms
 from rig.model.mechanism_geometry_classes import Hexapod

@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 

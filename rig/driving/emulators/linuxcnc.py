@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats
 from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.model import mechanisms

@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults, parse_fault_orders
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import (

@@ -8,11 +8,11 @@ import re
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import Emulator
 from rig.driving.protocols.native_strut_protocol import NM, VERSION
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_frame, last_valid_frame_in_line
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_numbered_frame, last_valid_frame_in_line
 
 
 class Struts(Emulator):
@@ -28,7 +28,7 @@ class Struts(Emulator):
 
     def greet(self) -> None:
         self._answered, self._silent = None, False
-        self.send(encode_frame("<", None, f"BOOT {self._boot}").decode())
+        self.send(encode_numbered_frame("<", None, f"BOOT {self._boot}").decode())
 
     def at_once(self, byte: int) -> bool:
         if byte != ord("!"):
@@ -40,7 +40,7 @@ class Struts(Emulator):
         frame = last_valid_frame_in_line(">", line.decode("latin-1"))
         if frame is None or frame.number is None:
             if line.strip():
-                self.send(encode_frame("<", None, "NAK").decode())
+                self.send(encode_numbered_frame("<", None, "NAK").decode())
             return
         self._heard = self.now
         if self._answered is not None and self._answered[:2] == (frame.number, frame.text):
@@ -50,7 +50,7 @@ class Struts(Emulator):
         answer = self._carry_out(word, arguments)
         if answer is None:
             return
-        data = encode_frame("<", frame.number, answer)
+        data = encode_numbered_frame("<", frame.number, answer)
         self._answered = None if word == "HELLO" else (frame.number, frame.text, data)
         self.send(data.decode(), acknowledges=word in ("MOVE", "HOME"))
 
@@ -138,11 +138,11 @@ class Struts(Emulator):
             return "ERR 4"
         struck = self.start_move(target, cruise / 1e3)
         if "ok-after-error" in struck:
-            self.send(encode_frame("<", None, "NAK").decode())
+            self.send(encode_numbered_frame("<", None, "NAK").decode())
             return "ERR 2" if self.faults.rng.random() < 0.5 else None
         if "resend" in struck:
             return "NAK" if self.faults.rng.random() < 0.5 else None
         if "resend-moving" in struck:
-            self.send(encode_frame("<", None, "NAK").decode())
+            self.send(encode_numbered_frame("<", None, "NAK").decode())
             return None
         return "ERR 2" if struck else "OK"

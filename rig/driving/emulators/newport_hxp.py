@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import MOTOR, EmulatedMachine, Faults
 from rig.driving.emulators.emulated_hexapod_controller_pose_geometry import EmulatedPlatform
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import LineEmulator
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import MM
 from rig.driving.protocols.newport_hxp import HXP
-from rig.driving.protocols.poses_of_hexapod_controllers import MM
 from rig.errors import NotConverged
 from rig.model.mechanism_geometry_classes import Hexapod
 

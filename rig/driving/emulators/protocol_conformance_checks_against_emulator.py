@@ -61,7 +61,9 @@ class ConformanceCheck:
     found: str = ""
 
 
-def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int = 1) -> Iterator[ConformanceCheck]:
+def check_protocol_conformance(
+    design: Design, protocol: str, moves: int = 300, seed: int = 1
+) -> Iterator[ConformanceCheck]:
     """Checks (ConformanceCheck) of a protocol's conformance, each as it is done.
 
     Only the first where that fails.
@@ -92,7 +94,7 @@ def check_conformance(design: Design, protocol: str, moves: int = 300, seed: int
                 return  # what does not move at all is tried no further
 
 
-def conformance_design(path: Path | None, protocol: str | None = None) -> Design:
+def protocol_conformance_design(path: Path | None, protocol: str | None = None) -> Design:
     """Design on which the conformance of a protocol is checked.
 
     Of a rig.toml, or a hexapod; of protocol "urscript" an arm of six joints.

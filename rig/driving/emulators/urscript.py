@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.driving.clock import Clock
+from rig.driving.driving_clock import Clock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults
 from rig.driving.emulators.emulator_base_true_command_log_and_user_emulators import LineEmulator
 from rig.driving.emulators.tcp_servers_of_emulators import TcpServer

@@ -5,7 +5,8 @@ of a hexapod's X, Y, Z, U, V, W.
 
 A move sets VELO and ACCL so that all motors start and arrive together, then VAL. What the records read back says
 whether it is done: RBV, DMOV and MSTA. Poses stand for lengths
-(rig.driving.protocols.poses_of_hexapod_controllers). Source: motorRecord.html of the synApps motor module.
+(rig.driving.protocols.controller_poses_for_hexapod_strut_lengths). Source: motorRecord.html of the synApps motor
+module.
 """
 
 from urllib.parse import unquote
@@ -16,8 +17,8 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
 from rig.driving.controller_address_and_urgent_stop import epics_motor_record_stop_bytes
 from rig.driving.controller_status_and_limits import ControllerLimits
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import PosesForLengths
 from rig.driving.protocols.native_strut_protocol import NUMBERS
-from rig.driving.protocols.poses_of_hexapod_controllers import PosesForLengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     TRIES,
@@ -31,7 +32,7 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     dialogue_awaiting_rest_after_stop,
     pause_dialogue,
 )
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_frame, last_valid_frame_in_line
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import encode_numbered_frame, last_valid_frame_in_line
 from rig.errors import ControllerFault, NoAnswer
 from rig.model.design import Controller
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -229,7 +230,7 @@ class Epics:
         """("OK" or "ERR", words) of an answer; ("", []) where none came."""
         self._number = number = self._number % (NUMBERS - 1) + 1
         lines: Lines = yield Exchange(
-            encode_frame(">", number, text), lambda lines: _answer(lines[-1], number) is not None
+            encode_numbered_frame(">", number, text), lambda lines: _answer(lines[-1], number) is not None
         )
         answer = None if lines is None else _answer(lines[-1], number)
         if answer is None:

@@ -9,8 +9,8 @@ lines has a blank before all line feeds but the last.
 
 C-887: GCS 2.0 with poses, X Y Z in mm and U V W in degrees.
 
-Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers). The pivot point (SPI) is asked of the
-controller before every move.
+Poses stand for lengths (rig.driving.protocols.controller_poses_for_hexapod_strut_lengths). The pivot point (SPI) is
+asked of the controller before every move.
 Source: PI MS204E (C-887), MOV, POS?, SPI, VLS; poses: PI MS207E (H-820), 3.7.4; work and tool frames: C887T0007
 """
 
@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.poses_of_hexapod_controllers import AXES, MM, PosesForLengths
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import AXES, MM, PosesForLengths
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     POLL,
     REST,

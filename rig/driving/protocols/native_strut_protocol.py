@@ -20,7 +20,11 @@ from rig.driving.protocols.protocol_interface_and_user_line_protocol import (
     dialogue_awaiting_homed,
     dialogue_awaiting_rest_after_stop,
 )
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import Frame, encode_frame, last_valid_frame_in_line
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
+    Frame,
+    encode_numbered_frame,
+    last_valid_frame_in_line,
+)
 from rig.errors import ControllerFault, NoAnswer
 
 NM = 1e9
@@ -89,7 +93,7 @@ class Struts:
                 ramp = cruise = int(np.ceil(np.sqrt(float(ramp) * max(cruise, 1))))
         nm = " ".join(str(round(value)) for value in NM * segment.target)
         text = f"MOVE {self._boot} {max(cruise, 1)} {ramp} {nm}"
-        if len(encode_frame(">", NUMBERS - 1, text)) > self._line:
+        if len(encode_numbered_frame(">", NUMBERS - 1, text)) > self._line:
             raise ControllerFault(
                 f"the controller takes lines of {self._line} bytes, too few for {text!r}; nothing was sent"
             )
@@ -152,7 +156,9 @@ class Struts:
 
     def _ask(self, text: str) -> Dialogue[tuple[Verdict, str]]:
         self._number = number = self._number % (NUMBERS - 1) + 1
-        lines: Lines = yield Exchange(encode_frame(">", number, text), lambda lines: _answers(lines[-1], number))
+        lines: Lines = yield Exchange(
+            encode_numbered_frame(">", number, text), lambda lines: _answers(lines[-1], number)
+        )
         frame = None if lines is None else last_valid_frame_in_line("<", lines[-1])
         if frame is None:
             return Verdict(None, f"no answer to {text}"), ""

@@ -1,9 +1,9 @@
 """Protocol of Newport HXP hexapod controllers.
 
 It takes poses, X Y Z in mm and U V W in degrees.
-Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers); they are those of its Tool coordinate
-system in its Work coordinate system. Calls and answers are lines of rig.driving.newport_function_call_tcp_port. A
-move and a homing are
+Poses stand for lengths (rig.driving.protocols.controller_poses_for_hexapod_strut_lengths); they are those of its Tool
+coordinate system in its Work coordinate system. Calls and answers are lines of
+rig.driving.newport_function_call_tcp_port. A move and a homing are
 answered at their end; the group's state says meanwhile that they have begun.
 U V W are taken as Bryant angles, about axes that move along, R = Rx(U) Ry(V) Rz(W). That is not verified: neither read
 in a manual nor seen at a controller; [controller] angles states the other order.
@@ -19,7 +19,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
 from rig.driving.controller_status_and_limits import ControllerLimits
-from rig.driving.protocols.poses_of_hexapod_controllers import (
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import (
     EXACT,
     MM,
     PosesForLengths,

@@ -1,10 +1,11 @@
 """Symétrie protocol: hexapods' own controllers on a Power PMAC that take poses, X Y Z in mm and U V W in degrees.
 
-Poses stand for lengths (rig.driving.protocols.poses_of_hexapod_controllers); they are those of its Object coordinate
-system in its User coordinate system, angles about axes that stay. Lines go to the PMAC's program `gpascii -2` and are
-answered by lines and 0x06. A command is written to the variable c_cmd, its parameters to c_par: c_cmd is above 0 until
-it was carried out (of a move or a homing, until that has begun), then 0, or below 0 where it was refused. Each line
-writes a number to c_par(19), which no command here takes, and reads it back at its end: it marks the answer.
+Poses stand for lengths (rig.driving.protocols.controller_poses_for_hexapod_strut_lengths); they are those of its
+Object coordinate system in its User coordinate system, angles about axes that stay. Lines go to the PMAC's program
+`gpascii -2` and are answered by lines and 0x06. A command is written to the variable c_cmd, its parameters to c_par:
+c_cmd is above 0 until it was carried out (of a move or a homing, until that has begun), then 0, or below 0 where it
+was refused. Each line writes a number to c_par(19), which no command here takes, and reads it back at its end: it
+marks the answer.
 Source: variables, bits, commands, codes: github.com/IvS-KULeuven/cgse (dynalpha.py), gitlab.esrf.fr/bliss/bliss
 (shexapod), github.com/epics-motor/motorSymetrie with its manual MAN_SOFT_EPICS; order of turns: MAN_A_Software API
 4.0, 2.4, as git.tdehaeze.xyz/tdehaeze/nass-simscape quotes it. No controller was tried.
@@ -17,7 +18,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.driving.controller_address_and_urgent_stop import STOPS
-from rig.driving.protocols.poses_of_hexapod_controllers import (
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import (
     MM,
     PosesForLengths,
     require_unchanged_coordinate_systems,

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Integers
-from rig.effects.framework.effect import Candidate
+from rig.effects.framework.effect_base_class import Candidate
 from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import CURVATURE, ScaleWithCurvature
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (

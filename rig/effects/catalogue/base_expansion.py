@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
+from rig.effects.framework.effect_base_class import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     Context,

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import independent_load_column_indices
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter
 from rig.errors import RigError
-from rig.model.mechanisms.arm import link_weight_base_moments
+from rig.model.mechanisms.arm_kinematics_limits_and_loads import link_weight_base_moments
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 
 START = 1e-7  # rad/(N m) and rad per m/s^2, from which it is fitted

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import independent_load_column_indices
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
@@ -21,9 +21,9 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Linear,
     Node,
     Parameter,
+    draw_log_uniform,
     draw_parameter,
     load_covariate,
-    log_uniform,
 )
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Place
@@ -146,7 +146,7 @@ class Compliance(Effect):
         if not drawing.motion.no_loads() or drawing.motion.T is None:
             return super(Compliance, cls).drawn(place, drawing, rng)
         links = drawing.motion.links().shape[2] // 4
-        mass = LIGHTER ** np.arange(links) * log_uniform(rng, *HEAVIEST)
+        mass = LIGHTER ** np.arange(links) * draw_log_uniform(rng, *HEAVIEST)
         moments = mass[:, None] * np.column_stack([np.ones(links), rng.uniform(-OFF_CENTRE, OFF_CENTRE, (links, 3))])
         stiffness = draw_parameter(cls.parameters_at(place)[0], drawing, rng)
         return cls(place, moments=tuple((moments / stiffness).ravel().tolist()))

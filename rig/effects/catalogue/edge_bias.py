@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, Place
 from rig.model.design import Camera, corners_of_squares_with_edges_moved_inward

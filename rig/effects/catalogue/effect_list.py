@@ -49,7 +49,7 @@ from rig.effects.catalogue.transmission_error import TransmissionError
 from rig.effects.catalogue.travel_heating import TravelHeating
 from rig.effects.catalogue.vibration import Vibration
 from rig.effects.catalogue.warm_up import WarmUp
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter, replace_axis_placeholder_in_text
 from rig.errors import FileError
 from rig.formats.numbers_and_units import range_text
@@ -106,7 +106,7 @@ class Plugin:
     kinds: tuple[type[Effect], ...]
 
 
-def catalogue_with_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
+def effect_catalogue_with_user_files(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
     """Catalogue {name: class} with the effects of user files (plugins) added.
 
     Raises FileError for a name twice.

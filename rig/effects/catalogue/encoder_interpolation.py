@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     Context,

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     Markers,
     Parameter,

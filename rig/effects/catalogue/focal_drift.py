@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect_base_class import REFERENCE_TEMPERATURE, Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Parameter
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Place

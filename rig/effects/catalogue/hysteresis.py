@@ -18,7 +18,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Covariate,
     Drawing,
     Parameter,
-    log_uniform,
+    draw_log_uniform,
     travel_covariate,
 )
 from rig.model.arm_hands_effect_places_and_tolerances import Place
@@ -57,8 +57,8 @@ class Hysteresis(WeightedSum):
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         reach, weight = cls.parameters_at(place)[:2]
-        width = log_uniform(rng, *reach.usual)
-        lost = log_uniform(rng, *(LOST_TURN if Place.parse(place).kind == "joint" else LOST))
+        width = draw_log_uniform(rng, *reach.usual)
+        lost = draw_log_uniform(rng, *(LOST_TURN if Place.parse(place).kind == "joint" else LOST))
         return cls(place, width, float(np.clip(2 * lost / width, *weight.usual)))
 
     def forgets(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.compliance import places_loaded_by_links_only
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import independent_load_column_indices
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter, load_covariate

@@ -10,14 +10,14 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
     Context,
     Drawing,
     Linear,
     Parameter,
-    log_uniform,
+    draw_log_uniform,
 )
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, chebyshev_products, image_warp_columns
@@ -86,7 +86,7 @@ class LensDistortion(Effect):
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "LensDistortion":
-        size, which = log_uniform(rng, *SIZES), rng.integers(3)
+        size, which = draw_log_uniform(rng, *SIZES), rng.integers(3)
         free = range(image_warp_coefficient_count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
         unit = np.zeros(image_warp_coefficient_count(WARPS[0]) if which == 2 else 12)
         unit[list(free)] = rng.normal(size=len(free)) * 1e-3

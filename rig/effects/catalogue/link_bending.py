@@ -9,13 +9,13 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import joint_carries_joint_matrix
-from rig.model.mechanisms.arm import forward, joint_frames
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import weight_wrench
+from rig.model.mechanisms.arm_kinematics_limits_and_loads import forward, joint_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, require_arm
 
 TUBE = 0.77  # G J / (E I) of a closed tube: 1 / (1 + Poisson's ratio), with 0.3 of steel and aluminium

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Covariate, Parameter, time_covariate
 from rig.model.arm_hands_effect_places_and_tolerances import Place

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.first_order_lag_weighted_sum_and_curved_scale_laws import lagged_path
 from rig.effects.framework.machine_motion_and_play import Motion, Path
 from rig.effects.framework.parameters_covariates_and_marker_table import Covariate, Parameter, travel_covariate

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,
@@ -21,7 +21,7 @@ from rig.effects.framework.parameters_covariates_and_marker_table import (
     Linear,
     Node,
     Parameter,
-    log_uniform,
+    draw_log_uniform,
     numerical_derivative_step,
     travel_covariate,
 )
@@ -97,7 +97,9 @@ class TransmissionError(Effect):
         return cls(
             place,
             tuple(
-                (profile * log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))).tolist()
+                (
+                    profile * draw_log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))
+                ).tolist()
             ),
         )
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.effects.framework.effect import Candidate, Effect
+from rig.effects.framework.effect_base_class import Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion, Path, first_order_lag
 from rig.effects.framework.parameters_covariates_and_marker_table import (
     COUNT,

@@ -177,7 +177,7 @@ class Drawing:
     displaced: Callable[[Any, Camera], float]
 
 
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def draw_log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     """Log-uniform random number between low and high.
 
     Every order of magnitude as likely.
@@ -192,7 +192,7 @@ def draw_parameter(parameter: Parameter, drawing: Drawing, rng: np.random.Genera
         return float(rng.uniform(*np.quantile(drawing.t, [EARLY, LATE])))
     if parameter.role in ("phase", "even"):
         return float(rng.uniform(low, high))
-    size = log_uniform(rng, low, high)
+    size = draw_log_uniform(rng, low, high)
     if parameter.size == 1:
         return float(rng.choice([-1, 1]) * size) if parameter.signed else size
     return tuple((size / np.sqrt(parameter.size) * rng.normal(size=parameter.size)).tolist())
@@ -340,7 +340,7 @@ def sine_and_cosine_columns_of_travel(
 
 
 class MarkerTable(Protocol):
-    """A dataclass of markers, a row each, as vision.predict has it.
+    """A dataclass of markers, a row each, as vision.marker_corner_prediction has it.
 
     id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side : (m,) m; heights : (m, 4) m
         or (1, 4) for all alike; target : m names; stage : (m,) number

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.array_and_json_types import Booleans, Floats
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Candidate, Effect
+from rig.effects.framework.effect_base_class import REFERENCE_TEMPERATURE, Candidate, Effect
 from rig.effects.framework.machine_motion_and_play import Motion, play_deviation
 from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, Context, Linear, Node, Parameter
 from rig.model.arm_hands_effect_places_and_tolerances import AXES
@@ -305,7 +305,7 @@ def _words(over: str) -> str:
     return over.replace("_", " ")
 
 
-def words_for_covariate_of_curve_effect(effect: Effect) -> str:
+def curve_covariate_words(effect: Effect) -> str:
     """Words for the covariate of a curve as an effect."""
     return _words(effect.name.removeprefix(PREFIX))
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.sketches.motion_effect_sketches import (
@@ -23,16 +23,16 @@ from rig.effects.sketches.motion_effect_sketches import (
     largest_suitable_unit,
     place_and_changed_values_text,
 )
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Design, Platform
-from rig.model.mechanisms.arm import link_points
+from rig.model.mechanisms.arm_kinematics_limits_and_loads import link_points
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.model.pose import exp
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design
 from rig.recording.recording_folder import Commands
 from rig.report.pages.html_and_svg_elements import TEXT, WIDTH, svg_figure, svg_text
-from rig.report.pages.plots import Series, plot_panel_svg
+from rig.report.pages.svg_plots import Series, plot_panel_svg
 
 LINK = 1  # index of the joint whose link is looked at, number 2
 MIDDLE, SWING = np.array([0.0, -1.0, 1.2, -1.6, -1.57, 0.0]), 0.8  # rad, joint values about which the arm swings
@@ -42,7 +42,7 @@ SIZE = 0.4 * WIDTH  # of the arm in its figure
 SMALL_UNITS = {**UNITS, 1e-2: "cm"}
 
 
-def draw_arm_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
+def draw_arm_effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """Draw the sketch of an effect of an arm's links.
 
     factor : of its largest usual size

@@ -12,14 +12,14 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing, Parameter
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.base_and_link_tilt_sensors import BaseTilt
 from rig.model.design import Camera, Design
@@ -27,7 +27,7 @@ from rig.model.pose import exp, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.recording_folder import PAYLOAD, Commands, Sensors, sensors_with_gravity
 from rig.report.pages.html_and_svg_elements import TEXT, WIDTH, svg_figure, svg_text
-from rig.report.pages.plots import Series, plot_panel_svg
+from rig.report.pages.svg_plots import Series, plot_panel_svg
 
 RADIUS, LEAD, PAYLOAD_AT = (
     0.3,
@@ -217,7 +217,7 @@ UNITS = {1e-9: "nm", 1e-6: "µm", 1e-3: "mm"}
 TIMES = {1e-3: "ms", 1.0: "s", 60.0: "min", 3600.0: "h"}
 
 
-def draw_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
+def draw_motion_effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     """Draw the sketch of an effect of a kind.
 
     factor : of its largest usual size

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE, Quantity, quantity_by_name
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     effect_classes_of_source_text,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.effects.catalogue.effect_list import BY_NAME, STAGES, Plugin
-from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.parameters_covariates_and_marker_table import Context, Parameter
 from rig.errors import FileError, RigError

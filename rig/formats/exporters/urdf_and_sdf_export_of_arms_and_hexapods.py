@@ -60,7 +60,7 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
             f'  <joint name="{axis}" type="{kind}">',
             f'    <parent link="{links[parent + 1]}"/>',
             f'    <child link="{links[i + 1]}"/>',
-            f"    {origin_element(behind * pose([0, 0, 0], [0, 0, theta]))}",
+            f"    {urdf_origin_element(behind * pose([0, 0, 0], [0, 0, theta]))}",
             '    <axis xyz="0 0 1"/>',
             f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>',
             *([_mimic_element(followed[i], arm)] if i in followed else []),
@@ -72,7 +72,7 @@ def arm_urdf(arm: Arm, name: str = "arm") -> str:
             f'  <joint name={quoteattr("tool" if not arm.hands else f"{hand.name}_tool")} type="fixed">',
             f'    <parent link="{links[hand.joint + 1]}"/>',
             f"    <child link={quoteattr(hand.name)}/>",
-            f"    {origin_element(ends[hand.joint + 1] * hand.tool)}",
+            f"    {urdf_origin_element(ends[hand.joint + 1] * hand.tool)}",
             "  </joint>",
         ]
     return "\n".join([*lines, "</robot>"]) + "\n"
@@ -83,7 +83,7 @@ def _mimic_element(coupling: Coupling, arm: Arm) -> str:
     return f'    <mimic joint="{arm.axes[coupling.leader]}" {by}/>'
 
 
-def origin_element(T: RigidTransform) -> str:
+def urdf_origin_element(T: RigidTransform) -> str:
     """URDF element <origin> of a RigidTransform T, m and rad."""
     numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, roll_pitch_yaw(T.rotation))]
     return f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/>'
@@ -119,7 +119,7 @@ class Strut:
         return self.T_base_cross * RigidTransform.from_rotation(Rotation.from_rotvec([0, self.tilt, 0]))
 
 
-def struts_as_simulators_model_them(hexapod: Hexapod) -> list[Strut]:
+def simulator_strut_models(hexapod: Hexapod) -> list[Strut]:
     """The struts of a Hexapod as simulators model them.
 
     Universal joint, slide, ball joint.
@@ -164,7 +164,7 @@ def hexapod_urdf(hexapod: Hexapod, name: str = "hexapod") -> str:
     Links base, strut_N, strut_N_rod, platform; the loops are listed for the simulator.
     Raises RigError where no cardan can be.
     """
-    all_struts = struts_as_simulators_model_them(hexapod)
+    all_struts = simulator_strut_models(hexapod)
     links, joints = ["base", "ball_x", "ball_y", "platform"], []
     for n, strut in enumerate(all_struts, 1):
         links += [f"strut_{n}_cross", f"strut_{n}", f"strut_{n}_rod", f"strut_{n}_tip", f"platform_joint_{n}"]
@@ -212,7 +212,7 @@ def _joint(
         f'  <joint name="{name}" type="{kind}">',
         f'    <parent link="{parent}"/>',
         f'    <child link="{child}"/>',
-        f"    {origin_element(T)}",
+        f"    {urdf_origin_element(T)}",
     ]
     if axis:
         lines += [
@@ -236,7 +236,7 @@ def hexapod_sdf(hexapod: Hexapod, name: str = "hexapod") -> str:
         f'    <link name="platform">{_pose(hexapod.home)}</link>',
         '    <joint name="ground" type="fixed"><parent>world</parent><child>base</child></joint>',
     ]
-    for n, strut in enumerate(struts_as_simulators_model_them(hexapod), 1):
+    for n, strut in enumerate(simulator_strut_models(hexapod), 1):
         lines += _strut(n, strut)
     return "\n".join([*lines, "  </model>", "</sdf>"]) + "\n"
 

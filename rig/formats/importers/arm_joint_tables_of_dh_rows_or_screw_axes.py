@@ -13,10 +13,10 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
-from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
-from rig.formats.importers.foreign_table_columns import Cells
+from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_table_column_search_and_completion import Cells
+from rig.formats.importers.foreign_table_units_and_timestamps import split_header
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.table_units_and_timestamps import split_header
 from rig.formats.importers.urdf_hands_and_dh_rows_of_joint_axes import (
     PlacedRows,
     denavit_hartenberg_rows_of_joint_axes,

@@ -250,7 +250,7 @@ def _cameras(e: Entries, folder: Path) -> Cameras:
 
 
 def _foreign_table(e: Entries, folder: Path, bag: Bag | None) -> ForeignTable:
-    from rig.formats.importers.table_units_and_timestamps import ALL
+    from rig.formats.importers.foreign_table_units_and_timestamps import ALL
 
     _known(e, ForeignTable)
     if "file" not in e.tree and bag is None:

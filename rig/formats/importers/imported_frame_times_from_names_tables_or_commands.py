@@ -15,10 +15,10 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import clock_shift_putting_
 from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import exposures_from_image_names
-from rig.formats.importers.command_and_sensor_tables import ImportedCommands
-from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.foreign_table_columns import (
+from rig.formats.importers.foreign_command_and_sensor_tables import ImportedCommands
+from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_table_column_search_and_completion import (
     CAMERA,
     FRAME,
     IMAGE,
@@ -27,8 +27,8 @@ from rig.formats.importers.foreign_table_columns import (
     column_headers_for_import_recipe,
     column_indices_by_headers,
 )
+from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
 from rig.formats.importers.import_recipe import ForeignTable, Recipe
-from rig.formats.importers.table_units_and_timestamps import UnclearInput
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS
 from rig.recording.recording_folder import LAST_DWELL
 
@@ -36,7 +36,7 @@ LISTED = 20  # of what is missing, in a message
 Like = Callable[[Floats], bool]
 
 
-def exposures_timed_by_names_table_or_commands(
+def exposures_with_times_and_recipe(
     exposed: ImportedExposures, commanded: ImportedCommands | None, recipe: Recipe, are_plausible: Like
 ) -> tuple[ImportedExposures, Recipe]:
     """Exposures with times from image names, a table of frames or commands, and the Recipe as it was resolved.

@@ -17,23 +17,23 @@ from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
-from rig.formats.importers.command_and_sensor_tables import (
+from rig.formats.importers.exposures_from_image_names import ImportedExposures
+from rig.formats.importers.foreign_command_and_sensor_tables import (
     ImportedCommands,
     ImportedSensors,
     read_commands,
     read_sensors,
 )
-from rig.formats.importers.exposures_from_image_names import ImportedExposures
+from rig.formats.importers.foreign_pose_table import ImportedPoses, read_poses
+from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
 from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import (
     LISTED,
     Like,
-    exposures_timed_by_names_table_or_commands,
+    exposures_with_times_and_recipe,
     require_exposures_and_commands_on_one_clock,
     seconds_since_origin,
 )
-from rig.formats.importers.pose_table import ImportedPoses, read_poses
-from rig.formats.importers.table_units_and_timestamps import UnclearInput
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
@@ -93,9 +93,9 @@ def unpack_recipe_bags(recipe: Recipe, folder: Path) -> Recipe:
     """
     if recipe.bag is None:
         return recipe
-    from rig.formats.importers import ros_bag_unpacking
+    from rig.formats.importers import ros_bags_to_image_and_table_files
 
-    return ros_bag_unpacking.unpack_bags(recipe, design_with_imported_cameras(recipe)[0], folder)
+    return ros_bags_to_image_and_table_files.unpack_bags(recipe, design_with_imported_cameras(recipe)[0], folder)
 
 
 def assemble_recording(recipe: Recipe, skip_unreadable: bool = False) -> ImportedRecording:
@@ -150,7 +150,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
         else None
     )
     if exposed is not None:
-        exposed, recipe = exposures_timed_by_names_table_or_commands(exposed, commanded, recipe, like)
+        exposed, recipe = exposures_with_times_and_recipe(exposed, commanded, recipe, like)
         exposed = _usable(exposed, design, skip_unreadable)
     posed = None
     if recipe.poses is not None:

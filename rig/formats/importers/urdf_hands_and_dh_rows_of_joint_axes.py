@@ -12,11 +12,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError
-from rig.formats.checked_toml_and_json_entries import name_problem
+from rig.formats.checked_toml_and_json_entries import rig_part_name_problem
 from rig.formats.importers.urdf_joint_chain import JointChain, UrdfJoint, load_joint_chain
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms.arm import joint_frames, link_transform
+from rig.model.mechanisms.arm_kinematics_limits_and_loads import joint_frames, link_transform
 from rig.model.pose import pose
 
 NEARLY_PARALLEL = 0.1  # rad; below it the common normal is far away, and Hayati's beta takes its place
@@ -139,8 +139,8 @@ def urdf_arm_with_several_hands_and_its_joint_chains(
     for number, tip in enumerate(tips):
         if tip in tips[:number]:
             raise FileError(path, f"--tip {tip!r} is named twice")
-        if name_problem(tip):
-            raise FileError(path, f"--tip {tip!r} names a hand: {name_problem(tip)}")
+        if rig_part_name_problem(tip):
+            raise FileError(path, f"--tip {tip!r} names a hand: {rig_part_name_problem(tip)}")
     chains = tuple(load_joint_chain(path, tip, root) for tip in tips)
     points, directions, T = chains[0].axes_at_zero()
     placed = denavit_hartenberg_rows_of_joint_axes(points, directions, T)

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import Entries
-from rig.formats.importers.foreign_table_columns import LONGEST, NUMBER, Cells
-from rig.formats.importers.table_units_and_timestamps import split_header
+from rig.formats.importers.foreign_table_column_search_and_completion import LONGEST, NUMBER, Cells
+from rig.formats.importers.foreign_table_units_and_timestamps import split_header
 from rig.formats.json_toml_and_yaml_loading import load_yaml
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS

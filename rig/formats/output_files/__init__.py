@@ -4,14 +4,18 @@ made.
 
 from rig.formats.output_files.atomic_file_writing_and_process_locks import STANDARD_OUTPUT, write_bytes, write_text
 from rig.formats.output_files.staged_command_outputs_with_overwrite_protection import CommandOutputs
-from rig.formats.output_files.staged_folder_and_manifest import MANIFEST, FolderManifest, require_complete_folder
+from rig.formats.output_files.staged_folder_and_manifest import (
+    MANIFEST,
+    FolderManifest,
+    require_folder_of_uninterrupted_command,
+)
 
 __all__ = [
     "MANIFEST",
     "STANDARD_OUTPUT",
     "FolderManifest",
     "CommandOutputs",
-    "require_complete_folder",
+    "require_folder_of_uninterrupted_command",
     "write_bytes",
     "write_text",
 ]

@@ -190,7 +190,7 @@ def path_status(path: str | PathLike[str]) -> os.stat_result | None:
         return None
 
 
-def is_written_directly(path: str | PathLike[str]) -> bool:
+def is_path_written_without_staging(path: str | PathLike[str]) -> bool:
     """Whether a path is written directly, not atomically.
 
     A device, a pipe, or this process's standard output.

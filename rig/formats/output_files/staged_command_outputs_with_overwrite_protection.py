@@ -11,7 +11,7 @@ from rig.errors import FileError, RigError
 from rig.formats import local_and_remote_input_files
 from rig.formats.output_files.atomic_file_writing_and_process_locks import (
     HeldLock,
-    is_written_directly,
+    is_path_written_without_staging,
     path_status,
     write_text,
 )
@@ -24,7 +24,7 @@ from rig.formats.output_files.staged_folder_and_manifest import (
     is_recording_table,
     load_manifest,
     lock_unused_folder,
-    remove_stale_staged_files,
+    remove_staged_files_of_killed_commands,
 )
 
 
@@ -122,7 +122,7 @@ class CommandOutputs:
         command did not make or that was changed since (unless forced), and where it cannot be written
         """
         _here(path)
-        if is_written_directly(path):
+        if is_path_written_without_staging(path):
             if not os.access(path, os.W_OK):
                 raise FileError(path, "cannot be written: Permission denied")
             return path
@@ -181,7 +181,7 @@ class CommandOutputs:
         except OSError as error:
             raise RigError(f"{path} cannot be created: {error.strerror}") from None
         self.in_use = True
-        remove_stale_staged_files(path)
+        remove_staged_files_of_killed_commands(path)
         (path / GROWING).mkdir(exist_ok=True)
         self._growing.append((path, lock_unused_folder(path / GROWING)))
         write_text(path / MANIFEST, FolderManifest(self._origin(False), load_manifest(path).files).text())

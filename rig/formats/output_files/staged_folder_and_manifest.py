@@ -144,7 +144,7 @@ def load_manifest(folder: Path) -> FolderManifest:
         ) from None
 
 
-def require_complete_folder(folder: Path) -> None:
+def require_folder_of_uninterrupted_command(folder: Path) -> None:
     """Raise FileError where a command was interrupted while writing a folder.
 
     A folder that nobody has marked is taken as it is.
@@ -203,7 +203,7 @@ class StagedFolder:
             self.known = load_manifest(place)
             lock = lock_folder(place, wait=True)
             try:
-                remove_stale_staged_files(place)
+                remove_staged_files_of_killed_commands(place)
                 self.folder = place / f"{NEW}{secrets.token_hex(6)}"
                 self.folder.mkdir()
                 self.lock = lock_folder(self.folder, wait=True)
@@ -326,7 +326,7 @@ class StagedFolder:
                 folder.rmdir()
 
 
-def remove_stale_staged_files(folder: Path) -> None:
+def remove_staged_files_of_killed_commands(folder: Path) -> None:
     """Remove stale staged files of killed commands from a folder."""
     for left in folder.glob(f"{NEW}*"):
         try:

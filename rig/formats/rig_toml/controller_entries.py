@@ -6,7 +6,9 @@ What drives a machine's axes, and by which protocol.
 from dataclasses import fields
 
 from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, REQUIRED, Entries, Required
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import user_program_with_path_beside_rig_toml
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
+    user_program_with_path_beside_rig_toml,
+)
 from rig.model import protocol_port_and_user_program_name_checks as names
 from rig.model.design import PROTOCOLS, Actuator, Controller
 from rig.model.mechanisms.hexapod import home_values

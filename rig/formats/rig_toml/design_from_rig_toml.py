@@ -11,11 +11,11 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, name_problem
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, rig_part_name_problem
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_text
-from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+from rig.formats.rig_toml import camera_instrument_experiment_and_cube_turn_entries
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
     instrument_of_table,
     user_program_with_path_beside_rig_toml,
 )
@@ -111,16 +111,16 @@ def design_of_entries(root: Entries) -> Design:
     refuse_tables_unsuited_to_several_hands(root)
     mechanism, actuator = mechanism_of_table(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = (
-        camera_instrument_experiment_and_cube_entries.cameras_of_tables(root.tables("camera")),
+        camera_instrument_experiment_and_cube_turn_entries.cameras_of_tables(root.tables("camera")),
         _targets(root.tables("target"), bodies_by_name_in_rig_toml(mechanism)),
     )
-    targets = camera_instrument_experiment_and_cube_entries.targets_with_cubes_turned_by_table(
+    targets = camera_instrument_experiment_and_cube_turn_entries.targets_with_cubes_turned_by_table(
         root.table("turned", optional=True), targets
     )
-    camera_instrument_experiment_and_cube_entries.require_supported_hand_mounted_cameras(
+    camera_instrument_experiment_and_cube_turn_entries.require_supported_hand_mounted_cameras(
         root, cameras, targets, mechanism
     )
-    camera_instrument_experiment_and_cube_entries.refuse_stage_targets_of_moving_cameras(root, cameras, targets)
+    camera_instrument_experiment_and_cube_turn_entries.refuse_stage_targets_of_moving_cameras(root, cameras, targets)
     return Design(
         name=root.text("name", default="rig"),
         gravity=gravity,
@@ -138,7 +138,7 @@ def design_of_entries(root: Entries) -> Design:
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
         tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
         tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism, gravity),
-        experiment=camera_instrument_experiment_and_cube_entries.experiment_permission(
+        experiment=camera_instrument_experiment_and_cube_turn_entries.experiment_permission(
             root.table("experiment", optional=True), targets
         ),
     )
@@ -160,7 +160,7 @@ def base_tilt_of_table(table: Entries) -> BaseTilt:
     """
     table.refuse_misspelt(("channel", "axis", "zero"))
     channel, axis = table.text("channel"), table.array("axis", (3,))
-    if name_problem(channel) or not channel.endswith(tuple(ANGLE_UNITS)):
+    if rig_part_name_problem(channel) or not channel.endswith(tuple(ANGLE_UNITS)):
         table.fail(
             f"channel must name a column of sensors.csv in {' or '.join(ANGLE_UNITS)}, not {channel!r}", "channel"
         )

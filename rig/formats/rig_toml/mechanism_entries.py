@@ -20,8 +20,8 @@ from rig.formats.rig_toml.hexapod_and_two_strut_entries import (
 )
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Coupling, Hand, coupling_matrix, hand_names
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Stage
-from rig.model.mechanisms.file_mechanism import nominal_mechanism_of_kinematics_file
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, target_bodies
+from rig.model.mechanisms.user_kinematics_file_mechanism import nominal_mechanism_of_kinematics_file
 
 UNSUITED = {
     "tilt_sensor": "tilt sensors are for arms with one hand",

@@ -33,7 +33,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.array_and_json_types import Floats, Json
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import SixJointArm, frame_at_first_axes_crossing
 from rig.model.mechanisms.closed_form_six_joint_inverse_kernels import FREE
 

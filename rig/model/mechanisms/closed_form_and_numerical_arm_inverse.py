@@ -5,7 +5,7 @@ Closed form of six joints (all eight branches), and numerical from many starts.
 The frame stands at the crossing of axes 1 and 2 (or where 1 comes nearest to 2), z along axis 1, y along axis 2. It
 serves arms whose axes 4, 5, 6 cross (spherical wrist) with 2 parallel to 3, and arms with 2, 3, 4 parallel and 5
 crossing 6.
-Source: patent CN111488654A. Any other arm: rig.model.mechanisms.arm.inverse.
+Source: patent CN111488654A. Any other arm: rig.model.mechanisms.arm_kinematics_limits_and_loads.inverse.
 
 Position comes first; rotation is brought as near as the joints' motions that keep the position allow. A calibrated
 arm is led in as many directions as its owner's figures give it: in others it moves by a thousandth of what its joints
@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms import closed_form_six_joint_inverse_kernels
 from rig.model.mechanisms.closed_form_six_joint_inverse_kernels import (
     ELBOW,
@@ -141,7 +141,7 @@ def _kind(o: Floats, u: Floats) -> tuple[str, Floats]:
         f"no closed form: axes 2 and 3 are {skewed(1, 2):.3g} rad from parallel, 2 and 4 {skewed(1, 3):.3g} "
         "rad; axis 4 misses the "
         f"crossing of 5 and 6 by {meets[0]:.3g} m, and these each other by {meets[1]:.3g} m; take "
-        "rig.model.mechanisms.arm.inverse"
+        "rig.model.mechanisms.arm_kinematics_limits_and_loads.inverse"
     )
 
 
@@ -302,7 +302,7 @@ def numerical_inverse_solutions(T_base_platform: RigidTransform, arm: Arm, start
         place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
         good = settled & (place <= (mechanism.GOOD if count.position == 3 else FAR)) & (turn <= FAR)
     else:
-        q, left = mechanism.solve_arm_inverse_by_damped_least_squares(many, arm, begin, starts=0)
+        q, left = mechanism.damped_least_squares_arm_inverse_and_error(many, arm, begin, starts=0)
         rest, place, turn, good = np.zeros((starts, 6)), left, left, left <= mechanism.GOOD
     q = mechanism.nearest_equivalent_angles(q, arm, np.zeros(q.shape))
     order = np.argsort(np.abs(mechanism.signed_limit_excess(q, arm)).max(axis=1) > 0, kind="stable")

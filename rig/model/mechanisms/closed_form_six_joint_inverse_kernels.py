@@ -99,7 +99,7 @@ def cosine_equation_angles(a: float, b: float, r_minus_c: float, r_plus_c: float
 
 
 @njit(cache=True, error_model="numpy")
-def both_first_joint_angles_for_point_level(
+def first_joint_angles_for_axis_2_offset(
     point: Vector, o: Vector, u1: Vector, u2: Vector, level: float
 ) -> tuple[float, float, float, float, float]:
     """Both angles of joint 1 that bring a point to a level, its offset along axis 2.
@@ -230,7 +230,7 @@ def spherical_wrist_inverse(
     reach, mark, bend = add_scaled(k0, matrix_row(hand_points_at_zero, 0), -1.0), cross(u6, u5), _bend(u4, u5, u6)
     for m in range(len(wanted_hand_points)):
         W, ex, ey, ez = _hand(wanted_hand_points, m, reach)
-        first, second, h1, miss, span1 = both_first_joint_angles_for_point_level(W, o1, u1, u2, level)
+        first, second, h1, miss, span1 = first_joint_angles_for_axis_2_offset(W, o1, u1, u2, level)
         if miss > SLACK:
             reason[m], gap[m] = OFF_AXIS, miss
             continue
@@ -339,7 +339,7 @@ def parallel_axes_inverse(
     sign3, sign4 = dot(u3, u2), dot(u4, u2)
     for m in range(len(wanted_hand_points)):
         P, ex, ey, ez = _hand(wanted_hand_points, m, reach)
-        first, second, h1, miss, span1 = both_first_joint_angles_for_point_level(P, o1, u1, u2, level)
+        first, second, h1, miss, span1 = first_joint_angles_for_axis_2_offset(P, o1, u1, u2, level)
         if miss > SLACK:
             reason[m], gap[m] = OFF_AXIS, miss
             continue

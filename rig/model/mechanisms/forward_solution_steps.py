@@ -12,7 +12,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import NotConverged, RigError
 from rig.model.mechanism_geometry_classes import FileMechanism, Hexapod
-from rig.model.mechanisms import file_mechanism, hexapod_newton_and_least_squares_forward_solution
+from rig.model.mechanisms import hexapod_newton_and_least_squares_forward_solution
+from rig.model.mechanisms import user_kinematics_file_mechanism as file_mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, is_redundant
 from rig.model.user_kinematics_file import FREEDOMS
 

@@ -38,7 +38,7 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> Floats:
     """
     matrix = np.ascontiguousarray(T_base_platform.as_matrix())
     flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, len(hexapod.axes)))
-    hexapod_kernels.run_in_threads(
+    hexapod_kernels.run_kernel_in_threads(
         lambda part: hexapod_kernels.fill_strut_lengths_of_poses(
             flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]
         ),
@@ -212,7 +212,7 @@ def _side_by_side(lengths: Floats, start: Floats, hexapod: Hexapod, out: tuple[F
             lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out)
         )
 
-    hexapod_kernels.run_in_threads(solve, len(lengths))
+    hexapod_kernels.run_kernel_in_threads(solve, len(lengths))
 
 
 @lru_cache(64)

@@ -36,7 +36,7 @@ class StrutGeometry(NamedTuple):
     turn: float
 
 
-def run_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread: int = EACH) -> None:
+def run_kernel_in_threads(kernel: Callable[[slice], None], count: int, items_per_thread: int = EACH) -> None:
     """Run a kernel in threads over slices of `count` items.
 
     Threads are on all cores (OMP_NUM_THREADS at most).

@@ -16,7 +16,8 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import NotConverged, Unreachable
 from rig.model.mechanism_geometry_classes import Arm, Chain, Hexapod, Stage
-from rig.model.mechanisms import arm, hexapod, two_strut_planar_mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as arm
+from rig.model.mechanisms import hexapod, two_strut_planar_mechanism
 from rig.model.pose import pose_difference, skew
 
 AXIS, UNIT = "axis", "m"

@@ -17,7 +17,9 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanism_geometry_classes import Arm, Chain, FileMechanism, Free, Hexapod, Planar2
-from rig.model.mechanisms import arm, file_mechanism, hexapod, mechanism_chain, two_strut_planar_mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as arm
+from rig.model.mechanisms import hexapod, mechanism_chain, two_strut_planar_mechanism
+from rig.model.mechanisms import user_kinematics_file_mechanism as file_mechanism
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs

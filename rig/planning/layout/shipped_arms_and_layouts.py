@@ -21,7 +21,7 @@ from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import STRUT_COUNTS, Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout.hexapod_layout_and_camera_placement import (

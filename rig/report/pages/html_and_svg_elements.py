@@ -181,7 +181,7 @@ def note_html(line: str) -> str:
     return f'<p class="note">{inline_html(line)}</p>'
 
 
-def captioned_html(figures: str, caption: str) -> str:
+def figures_with_caption_html(figures: str, caption: str) -> str:
     """HTML of figures with a caption.
 
     Of one, or of several side by side, with the caption below.

@@ -98,7 +98,7 @@ def image_plane_figure(
     return svg_figure(int(TOP + tall + 24), f"{title}: {caption}", parts)
 
 
-def patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
+def image_patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
     """Means of values (n, k) by square patches of uv (n, 2) >= 0.
 
     cell : a square's side, as uv

@@ -33,8 +33,8 @@ from rig.report.pages.html_and_svg_elements import (
 from rig.report.pages.project_stages_and_files_without_pages import (
     STAGES,
     ProjectFile,
-    date_text,
     list_project_files,
+    local_date_and_time_text,
     stage_of_page_kind,
 )
 from rig.report.verdict_refutations_and_result_display import WORST, State, Verdict, worst_state
@@ -233,13 +233,16 @@ def _latest_state(pages: Sequence[PageSummary], folder: Path) -> tuple[Verdict, 
         count = {state: sum(page.state == state for page in pages) for state in WORST}
         why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
         return Verdict(worst_state([page.state for page in pages]), why), []
-    states, lines = [calibrated.state], [f"calibrated {date_text(calibrated.changed)}: {calibrated.state}"]
+    states, lines = (
+        [calibrated.state],
+        [f"calibrated {local_date_and_time_text(calibrated.changed)}: {calibrated.state}"],
+    )
     cards = [f"{heading_html('Calibration', 3)}<p>{_page_html(calibrated, folder)}</p>"]
     for stage, (participle, step) in LATER_STAGES.items():
         found = next((page for page in pages if page.kind in STAGES[stage]), None)
         if found is not None and found.changed >= calibrated.changed:
             states.append(found.state)
-            lines.append(f"{participle} {date_text(found.changed)}: {found.state}")
+            lines.append(f"{participle} {local_date_and_time_text(found.changed)}: {found.state}")
             cards.append(f"{heading_html(stage, 3)}<p>{_page_html(found, folder)}</p>")
         else:
             lines.append(f"not {participle} since")
@@ -252,7 +255,7 @@ def _page_html(page: PageSummary, folder: Path) -> str:
     why = inline_html(split_text_at_semicolons(page.why)[0])
     return (
         f'<span class="badge {page.state}">{page.state}</span> <a href="{_relative_link(page.path, folder)}">'
-        f'{html.escape(page.title)}</a><br><span class="note">{date_text(page.changed)}: {why}</span>'
+        f'{html.escape(page.title)}</a><br><span class="note">{local_date_and_time_text(page.changed)}: {why}</span>'
     )
 
 
@@ -260,7 +263,7 @@ def _file_html(file: ProjectFile, folder: Path) -> str:
     name = file.path.resolve().relative_to(folder.resolve()).as_posix()
     return (
         f'<a href="{_relative_link(file.path, folder)}">{html.escape(name)}</a>'
-        f'<br><span class="note">{date_text(file.changed)}: {inline_html(file.text)}</span>'
+        f'<br><span class="note">{local_date_and_time_text(file.changed)}: {inline_html(file.text)}</span>'
     )
 
 

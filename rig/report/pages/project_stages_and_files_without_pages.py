@@ -43,7 +43,7 @@ def stage_of_page_kind(kind: str) -> str:
     return next((stage for stage, kinds in STAGES.items() if kind in kinds), OTHERS)
 
 
-def date_text(changed: float) -> str:
+def local_date_and_time_text(changed: float) -> str:
     """Text of a file's local date and time.
 
     To the minute. changed : s since 1970

@@ -11,7 +11,7 @@ import pytest
 
 from calib.api.bluesky_platform_device import PosePlatform, bluesky_platform
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.files.calibration_file import save
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import parse_fault_orders
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock

@@ -21,16 +21,17 @@ import pytest
 from calib.certificate.certificate_computation_verdict_and_provenance import combined_held_out_poses
 from calib.certification.pose_error_promise_and_conformity import OPEN, pose_error_promise
 from calib.certification.uncertainty_budget import rms_position_and_rotation_uncertainty, thermometer_covariance
-from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files import calibration_file
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.recording import corner_and_pose_csv_tables, recording_folder
 from rig.recording.corner_and_pose_csv_tables import Poses
 from rig.recording.recording_folder import Sensors

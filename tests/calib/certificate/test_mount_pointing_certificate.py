@@ -14,10 +14,10 @@ from calib.certification.noise_free_errors_and_tolerance_limits import (
     tolerance_limits_of_true_errors,
     upper_tolerance_limit,
 )
-from calib.models.arm.pointing_terms import ARCSEC
+from calib.models.arm.mount_pointing_terms import ARCSEC
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import NotEnoughData, RigError
-from tests.calib.models.arm.test_pointing_terms import SIGMA, TRUE, recorded, sky, starred
+from tests.calib.models.arm.test_mount_pointing_terms import SIGMA, TRUE, recorded, sky, starred
 from tests.truth import pointing as truth
 
 

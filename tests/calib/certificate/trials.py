@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.certification.held_out_errors import errors_before_and_after_correction
+from calib.certification.held_out_pose_error_statistics import errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import held_out_poses
 from calib.certification.noise_free_errors_and_tolerance_limits import least_sample_size
 from calib.certification.pose_error_promise_and_conformity import (
@@ -24,14 +24,16 @@ from calib.certification.pose_error_promise_and_conformity import (
     pose_error_promise,
     tolerance_conformity,
 )
-from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.errors import NotConverged
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from synthetic import random_true_machine_and_truth_file
 
 KINDS = (

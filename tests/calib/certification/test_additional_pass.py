@@ -11,13 +11,13 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.configuration_space_correction_certification import claim_without_geometry
 from calib.certification.platform_certification import platform_pose_covariance
 from calib.correction import correction_field_methods_fitting_combination_and_json
-from calib.correction.correction import Correction
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
     RestrictedMap,
     SpacePart,
     SummedPasses,
 )
+from calib.correction.machine_correction import Correction
 from calib.files import calibration_file
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from calib.samples.commanded_and_measured_pose_samples import Samples

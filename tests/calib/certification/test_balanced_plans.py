@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.certification.held_out_errors import errors_before_and_after_correction
+from calib.certification.held_out_pose_error_statistics import errors_before_and_after_correction
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
@@ -16,7 +16,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
     require_nonzero_effect,
 )
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.conftest import BENCH

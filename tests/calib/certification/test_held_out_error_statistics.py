@@ -20,15 +20,15 @@ from calib.certification.configuration_space_correction_certification import (
     certify_extended_correction,
     claim_without_geometry,
 )
-from calib.certification.held_out_errors import (
+from calib.certification.held_out_pose_error_statistics import (
     HeldErrors,
     mean_square_pose_errors_caused_by_parameters,
     residuals_corrected_for_absorbed_noise,
 )
-from calib.correction.correction import Correction, solvable_commands_and_poses
+from calib.correction.machine_correction import Correction, solvable_commands_and_poses
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import certify_arm as certify_arm
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import certify_arm as certify_arm
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim as promised_arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
@@ -132,7 +132,8 @@ def test_an_arms_claim_is_never_better_than_poses_held_out_allow(gears):
         seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
         q = sobol_configurations(seen, PLACES, 0.8)
         off = pose_difference(
-            done.correction.predict(q), error_model_and_observations.predicted_target_poses(q + deviation(q), true)
+            done.correction.predict(q),
+            arm_error_model_and_instrument_observations.predicted_target_poses(q + deviation(q), true),
         )
         inside += claim.after[0][1] <= rms(off)[0] <= claim.after[0][2]
     assert inside >= 5

@@ -8,10 +8,10 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import held_out_poses
 from calib.certification.iso230_and_iso9283_tests import Duty, iso9283_accuracy_and_repeatability
-from calib.correction.correction import fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
 from calib.samples.commanded_and_measured_pose_samples import Samples
-from rig.model import motion_simulation
-from rig.planning import plan
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.planning import recording_plan as plan
 
 FULL = Duty(0.05, 0.05, (10.0, 10.0), 10.0)
 

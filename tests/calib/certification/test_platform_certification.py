@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import verification_line
-from calib.certification.held_out_errors import compare_errors, error_statistics
+from calib.certification.held_out_pose_error_statistics import compare_errors, error_statistics
 from calib.certification.platform_certification import certify_platform
-from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
 from tests.calib.noisy_samples import sampled
 
 

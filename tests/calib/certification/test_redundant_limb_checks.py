@@ -145,7 +145,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     rows = re.findall(r"^m(\d) +\S+ +(\S+) +(\S+)$", output, re.MULTILINE)
     assert "give the pose; the others minus prediction, um:" in output and len(rows) == 2
     assert all(0.3 < float(rms) / float(expected) < 2 for _, rms, expected in rows)
-    loaded = accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(limbs)
+    loaded = accepted_measuring_limbs_file.load_limbs_of_any_verdict(limbs)
     assert (
         sorted([*(loaded.limbs.chosen + 1), *(loaded.limbs.checks.limbs + 1)]) == list(range(1, EIGHT + 1))
         and loaded.verdict == "accepted"
@@ -175,7 +175,7 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
     output = capsys.readouterr().err
     assert "The measuring limbs no longer agree with one another: their acceptance is withdrawn" in output
     assert 30 <= int(re.search(r"frame (\d+)", output)[1]) < 35 and f"limb {limb} is longer" in output
-    assert accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(limbs).verdict == "withdrawn"
+    assert accepted_measuring_limbs_file.load_limbs_of_any_verdict(limbs).verdict == "withdrawn"
     rig(
         "insitu",
         tmp_path / "rec",
@@ -188,15 +188,14 @@ def test_eight_limbs_through_the_command_line(tmp_path, capsys):
         tmp_path / "first.json",
     )
     assert (
-        accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(tmp_path / "first.json").limbs.chosen
-        == np.arange(6)
+        accepted_measuring_limbs_file.load_limbs_of_any_verdict(tmp_path / "first.json").limbs.chosen == np.arange(6)
     ).all()
     assert command_line.main(["insitu", str(tmp_path / "rec"), "--use", "m1,m2,m3,m4,m5,m9"]) == 1
     assert "six different limbs of m1 .. m8" in capsys.readouterr().err
     with pytest.raises(RigError, match="of other limbs than rig.toml states in .insitu.: of 8, not of 6"):
         accepted_measuring_limbs_file.load_accepted_limbs_for_design(tmp_path / "first.json", _with_limbs(tmp_path, 6))
     assert measuring_limb_poses_checked_by_vision.limb_poses(
-        read, accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(tmp_path / "first.json")
+        read, accepted_measuring_limbs_file.load_limbs_of_any_verdict(tmp_path / "first.json")
     ).lengths.shape == (60, EIGHT)
 
 

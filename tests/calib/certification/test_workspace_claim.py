@@ -7,7 +7,7 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import claim_lines, verification_line
 from calib.certification.claim_verification import verify_claim
-from calib.certification.held_out_errors import compare_errors, errors_before_and_after_correction
+from calib.certification.held_out_pose_error_statistics import compare_errors, errors_before_and_after_correction
 from calib.certification.held_out_pose_errors_and_distinct_configurations import (
     axis_travel_limits,
     configuration_numbers,
@@ -18,12 +18,13 @@ from calib.certification.platform_certification import certify_platform, platfor
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     estimate_tolerance_of_stated_geometry,
 )
-from calib.models.platform.identification import identify_platform
+from calib.models.platform.platform_identification import identify_platform
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.noisy_samples import sampled

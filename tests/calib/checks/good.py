@@ -7,7 +7,8 @@ import numpy as np
 
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording.corner_and_pose_csv_tables import write_poses
 from rig.recording.recording_folder import Poses

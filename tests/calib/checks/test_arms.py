@@ -5,7 +5,7 @@ turns the other way is one.
 import numpy as np
 import pytest
 
-from calib.models.arm.command_and_pose_mistakes import find_arm_mistakes
+from calib.models.arm.arm_command_and_pose_mistakes import find_arm_mistakes
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.recording import recording_folder
 from tests.calib import secret_arms

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.files.calibration_file import save
 from calib.models.wanted_pose_commands import pose_commands_for_controller_with_own_kinematics
 from rig.cli.command_line import main
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import EmulatedMachine, Faults, MovingAxes
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.emulators.gcs import GCSHexapod
-from rig.driving.protocols.poses_of_hexapod_controllers import (
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import (
     AXES,
     PoseFrames,
     poses_of_xyz_mm_uvw_degrees,

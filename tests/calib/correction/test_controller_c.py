@@ -13,19 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from calib.api.correct import CorrectOptions, correct
 from calib.api.export_calibration_or_recording import export
-from calib.correction.correction import Correction
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_pose_space_map,
     fit_field,
     home_pose,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
+from calib.correction.machine_correction import Correction
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Machine
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import untimed_route
 from calib.files import calibration_file
 from calib.models.wanted_pose_commands import commands_along_route
 from rig.cli.command_line import main
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.model.mechanism_geometry_classes import Chain

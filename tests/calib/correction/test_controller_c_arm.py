@@ -14,12 +14,12 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.correction.correction_field_methods_fitting_combination_and_json import fit_field
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.identification_and_joint_profiles import Profile
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_identification_and_joint_profiles import Profile
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from tests.calib import secret_arms

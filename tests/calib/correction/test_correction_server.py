@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from calib.api import correction_server_and_move_to_pose
 from calib.api.correct import CorrectOptions, correct
-from calib.api.correction_server_and_move_to_pose import CLIENTS, CorrectionServer, answer_request
+from calib.api.correction_server_and_move_to_pose import CLIENTS, CorrectionServer, correction_server_answer
 from calib.files import calibration_file
 from rig.cli.command_line import main
 from rig.errors import RigError
@@ -135,7 +135,9 @@ def test_the_command_line_gives_the_same_numbers(design, calibrations, tmp_path,
     words = ["correct", str(tmp_path / "c.json"), "--poses", str(tmp_path / "poses.csv"), "--out"]
     assert main([*words, str(tmp_path / "out.csv"), "--skip-unreachable", "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
-    found = answer_request(calibration_file.load(tmp_path / "c.json"), json.dumps({"poses": vectors}).encode())
+    found = correction_server_answer(
+        calibration_file.load(tmp_path / "c.json"), json.dumps({"poses": vectors}).encode()
+    )
     found = json.loads(json.dumps(found))
     assert [found["commands"][one["frame"]] for one in output["commands"]] == [
         one["values"] for one in output["commands"]
@@ -189,7 +191,7 @@ def test_too_long_a_line_is_an_error_and_no_more(client, monkeypatch):
 
 def test_a_fault_of_the_program_is_an_answer_and_its_traceback_is_printed(calibrations, monkeypatch, capsys):
     monkeypatch.setattr(correction_server_and_move_to_pose, "correct", lambda *_: 1 / 0)
-    found = answer_request(calibrations["simplices"], b'{"id": 3, "poses": [[0, 0, 0.45, 0, 0, 0]]}')
+    found = correction_server_answer(calibrations["simplices"], b'{"id": 3, "poses": [[0, 0, 0.45, 0, 0, 0]]}')
     assert found == {"id": 3, "error": "a fault of this program, ZeroDivisionError: division by zero"}
     assert "Traceback" in capsys.readouterr().err
 
@@ -205,7 +207,7 @@ def test_a_fault_of_the_program_is_an_answer_and_its_traceback_is_printed(calibr
 )
 @settings(max_examples=200, deadline=None)
 def test_no_line_is_without_an_answer(calibrations, line):
-    found = answer_request(calibrations["simplices"], line)
+    found = correction_server_answer(calibrations["simplices"], line)
     assert ("error" in found) != ("commands" in found) and "a fault of this program" not in found.get("error", "")
 
 

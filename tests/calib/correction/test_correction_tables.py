@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calib.correction import correction_field_methods_fitting_combination_and_json
-from calib.correction.correction import Correction
 from calib.correction.correction_field_methods_fitting_combination_and_json import measured_correction_summands
 from calib.correction.correction_tables import (
     axis_correction_tables,
@@ -16,7 +15,8 @@ from calib.correction.correction_tables import (
     strut_correction_summands,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
-from rig.formats.exporters import geometry_compensation_and_camera_file_exports
+from calib.correction.machine_correction import Correction
+from rig.formats.exporters import json_csv_linuxcnc_and_camera_file_exports
 from rig.model.mechanisms import hexapod
 from rig.planning.configuration_generators import sobol_configurations
 from tests.calib.noisy_samples import real, sampled
@@ -51,11 +51,11 @@ def test_joint_tables_read_back_as_linuxcnc_reads_them_correct_as_we_do(additive
     T = hexapod.forward(wanted, additive.fitted)
     commands, scale, zeros = (
         additive.inverse(T),
-        geometry_compensation_and_camera_file_exports.SCALE[units],
+        json_csv_linuxcnc_and_camera_file_exports.SCALE[units],
         additive.fitted.strut_zeros,
     )
     for i in range(6):
-        text = geometry_compensation_and_camera_file_exports.linuxcnc_compensation_file(
+        text = json_csv_linuxcnc_and_camera_file_exports.linuxcnc_compensation_file(
             found.levels[i] + zeros[i], found.trims[i], units
         )
         corrected = by_linuxcnc(text, (wanted[:, i] + zeros[i]) * scale) / scale - zeros[i]
@@ -77,7 +77,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
 
 def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
-    text = geometry_compensation_and_camera_file_exports.correction_grid_csv(
+    text = json_csv_linuxcnc_and_camera_file_exports.correction_grid_csv(
         *grid_correction_table(additive, 2), m.axes, "m"
     )
     lines = text.splitlines()

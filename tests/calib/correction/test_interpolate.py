@@ -311,7 +311,7 @@ def test_divisions_are_even_or_not_whole_strokes_or_less(tmp_path):
 
 
 def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):
-    from calib.correction.correction import Correction
+    from calib.correction.machine_correction import Correction
     from tests.calib.noisy_samples import workspace
 
     m = design.mechanism

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_pose_space_map,
     fit_field,
     home_pose,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
+from calib.correction.machine_correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.correction.physical_effects_of_calibration_and_their_compensation import (
     Machine,
     Physics,
@@ -30,12 +30,12 @@ from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli.command_line import main
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import MOTION_STAGES
+from rig.effects.framework.effect_base_class import MOTION_STAGES
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.planning import configuration_generators

@@ -16,9 +16,9 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
     refine_operating_point,
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Candidate, Linear
+from rig.effects.framework.effect_base_class import Candidate, Linear
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml

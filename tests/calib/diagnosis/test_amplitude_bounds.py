@@ -7,7 +7,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from rig.effects.catalogue.cyclic_error import CyclicError
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.catalogue.vibration import Vibration
-from rig.effects.framework.effect import QUADRATURE, Candidate, Linear
+from rig.effects.framework.effect_base_class import QUADRATURE, Candidate, Linear
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 
 

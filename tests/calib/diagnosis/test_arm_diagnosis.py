@@ -14,7 +14,7 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Geometry, linearise_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.framework.machine_motion_and_play import play_operator
 from rig.errors import NotEnoughData
@@ -217,7 +217,8 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     assert "Scale error at joint 4" in page and "Findings that affect individual poses" in page
     table = np.genfromtxt(tmp_path / "out" / "contributions.csv", delimiter=",", names=True)
     lever = np.linalg.norm(
-        secret_arms.error_model_and_observations.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1
+        secret_arms.arm_error_model_and_instrument_observations.joint_jacobian(samples.commanded, true)[:, :3, 3],
+        axis=1,
     )
     q = samples.commanded[:, 3]
     assert np.corrcoef(table["scale_error_joint_4"], 3e-3 * np.abs(q - 0.0) * lever)[0, 1] > 0.99

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording import recording_folder
 from synthetic import random_blind_platform_cases_with_truth

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import covariate_table_heads_and_rows
 from rig.effects.framework.machine_motion_and_play import Path, play_operator
 from rig.recording.recording_folder import Sensors

@@ -10,10 +10,10 @@ from calib.diagnosis.engine.forward_and_backward_term_selection import select_te
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.detectable_joint_effect_sizes import detectable_joint_effect_sizes
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize, smallest_of_each_place
+from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize, smallest_detectable_size_by_place
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_entries, detectable_size_line
-from calib.diagnosis.report.diagnosis_json_entries import json_tree
+from calib.diagnosis.report.diagnosis_json_entries import json_tree_of_dataclasses
 from rig.effects.framework.machine_motion_and_play import play_operator
 from tests.calib.diagnosis.test_arm_diagnosis import recorded
 
@@ -71,7 +71,7 @@ def test_where_the_search_looks_at_more_than_few_poses_bear_no_size_would_be_fou
 
 
 def test_each_effect_has_a_row_with_the_places_where_least_and_most_is_needed():
-    sizes = smallest_of_each_place(
+    sizes = smallest_detectable_size_by_place(
         [
             DetectableSize("backlash", "joint 1", "gap", "rad", 2e-4),
             DetectableSize("backlash", "joint 1", "gap", "rad", 1e-4),
@@ -88,7 +88,7 @@ def test_each_effect_has_a_row_with_the_places_where_least_and_most_is_needed():
         "would have shown: scale error, scale 0.001 at joint 1",
         "would have shown: compliance, stiffness 100000 N m/rad or less at joint 1, 10000 N m/rad or less at joint 2",
     ]
-    assert json_tree(entries)[0] == {
+    assert json_tree_of_dataclasses(entries)[0] == {
         "effect": "backlash",
         "parameter": "gap",
         "unit": "rad",

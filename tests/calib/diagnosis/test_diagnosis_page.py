@@ -12,7 +12,7 @@ from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranki
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import repeatability_of_pairs
 from calib.diagnosis.problems.platform import platform_recording_evidence as platform
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotTestedEntry
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, repeatability_entry
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     effect_residual_figures,
     model_residuals,
@@ -22,7 +22,7 @@ from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outlin
 from rig.effects.catalogue.effect_list import ALL, BY_NAME
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from rig.recording.corner_and_pose_csv_tables import write_poses
 from synthetic import random_true_machine_and_truth_file, recording_simulation

@@ -6,7 +6,7 @@ import pytest
 from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import separation_of_two_effects_by_plan
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.planning.plan import build_plan, sensors_with_payload
+from rig.planning.recording_plan import build_plan, sensors_with_payload
 from synthetic.random_true_machine_and_truth_file import random_true_and_logged_temperatures
 
 SIGMA = (1e-5, 1e-4)

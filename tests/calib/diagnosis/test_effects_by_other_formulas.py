@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.effects_by_other_formulas import OffsetSignals, SwungCardan, WarmedScrew
 from tests.calib.lifted_corners import recording_with_lifted_corner

@@ -17,7 +17,7 @@ from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import l
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, summary_sentence
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report, summary_sentence
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Arm

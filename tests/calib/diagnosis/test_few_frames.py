@@ -23,7 +23,7 @@ from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     frames_before_and_after_sudden_changes,
 )
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue.camera_bump import CameraBump
 from rig.effects.catalogue.missed_steps import MissedSteps
 from tests.calib.diagnose_recording import diagnosis_of

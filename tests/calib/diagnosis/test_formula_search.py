@@ -27,7 +27,11 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.strut_formula_suggestions import suggest_strut_formulas
 from calib.diagnosis.report.diagnosis_json_entries import FitEntry, suggested_formula_entries
 from calib.diagnosis.report.diagnosis_page import _suggestions
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import Report, recommended_actions, write_diagnosis_json
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import (
+    Report,
+    recommended_actions,
+    write_diagnosis_json,
+)
 from rig.cli.command_line import main
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import quantities_of_motion
 from rig.effects.texts.effect_file_from_formula import Term, Written

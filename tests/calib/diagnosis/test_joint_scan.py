@@ -10,20 +10,20 @@ import pytest
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.problems.arm import arm_lack_of_fit_covariates_and_joint_formulas as arm_excess_scatter
+from calib.diagnosis.problems.arm.arm_candidate_scores import (
+    joint_motion_normal_equations_by_frame,
+    score_candidates,
+    solve_candidate_at_all_nodes,
+    solve_candidate_at_nodes,
+)
 from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatability
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Columns, Part, linearise_poses
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Term, fit_terms_to_poses
-from calib.diagnosis.problems.arm.scores_of_all_candidates import (
-    joint_motion_normal_equations_by_frame,
-    score_candidates,
-    solve_candidate_at_all_nodes,
-    solve_candidate_at_nodes,
-)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter, robust_weights
+from calib.identify.bounded_and_robust_least_squares_fit import excess_scatter, robust_weights
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from tests.calib import secret_arms
 from tests.rig.arms import UR10

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import Normal, solve_nonnegative
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.recording.recording_folder import load_recording
 from tests.calib.diagnose_recording import diagnosis_of

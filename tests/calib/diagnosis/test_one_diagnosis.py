@@ -32,7 +32,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import ALL
 from rig.recording.recording_folder import Sensors
 from tests.calib.diagnose_recording import page_text

@@ -29,12 +29,12 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
     find_lack_of_fit_by_place,
 )
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation, unlisted_effects_and_corner_noise
@@ -42,7 +42,7 @@ from tests.calib.diagnose_recording import diagnosis_of, page_text
 from tests.calib.recordings_with_effects import recorded
 from tests.numerical_derivatives import jacobian
 from tests.vision import tumbling_block
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 
 LINEARISATIONS = 275  # of a whole diagnosis in which one effect is hidden, each a Jacobian of all corners
 
@@ -149,7 +149,7 @@ def test_faces_exchanged_are_named(tmp_path, design):
     point, _, _ = operating_point_of_recording(rec)
     found = marker_swap_detection_and_effect_cross_validation.find_marker_swaps(point, [k for k in ALL if k.discrete])
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
-    left = marker_swap_detection_and_effect_cross_validation.correct_marker_swaps(point, found)
+    left = marker_swap_detection_and_effect_cross_validation.operating_point_with_marker_swaps_corrected(point, found)
     assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from calib.api.calibrate import calibrate
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report, summary_sentence
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report, summary_sentence
 from rig.report.verdict_refutations_and_result_display import State
 from tests.calib.diagnose_recording import diagnosis_of
-from tests.calib.models.arm.test_pointing_terms import SIGMA, starred
+from tests.calib.models.arm.test_mount_pointing_terms import SIGMA, starred
 
 LARGE = 30 * SIGMA  # of an unmodelled periodic error
 LEFT_OUT = {

@@ -13,7 +13,7 @@ from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.arm_hands_effect_places_and_tolerances import Place
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation, unlisted_effects_and_corner_noise
 from tests.calib.diagnose_recording import diagnosis_of

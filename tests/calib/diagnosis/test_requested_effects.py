@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue.screw_coupling import ScrewCoupling
-from rig.effects.framework.effect import Parameter
+from rig.effects.framework.effect_base_class import Parameter
 from rig.errors import RigError
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.calib.recordings_with_effects import recorded

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.recording import recording_folder
 from tests.calib.diagnose_recording import diagnosis_of
 from tests.conftest import ROOT

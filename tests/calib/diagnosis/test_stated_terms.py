@@ -13,7 +13,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     require_assumed_effects_testable,
 )
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import evidence_sentence
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect_and_place

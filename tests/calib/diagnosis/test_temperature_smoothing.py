@@ -18,7 +18,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import oper
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
     parameter_errors_by_temperature_logs,
 )
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.recording.recording_folder import Sensors, load_recording

@@ -14,14 +14,14 @@ from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_m
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, linearise
-from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
-from calib.diagnosis.problems.platform.scores_of_all_candidates import (
+from calib.diagnosis.problems.platform.platform_candidate_scores import (
     candidate_column,
     constant_displacement_normal_equations,
     corner_displacement_normal_equations_by_frame,
     score_candidates,
 )
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
+from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue import effect_list
 from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES, Place
 from synthetic import random_blind_platform_cases_with_truth

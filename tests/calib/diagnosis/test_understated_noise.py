@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.pose_noise_excess import MISSTATED, PoseResiduals, noise_covariance_by_kind, noise_factors
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import (
     diagnosis_report,
     diagnosis_verdict,
     summary_sentence,

@@ -12,17 +12,17 @@ from calib.certification.platform_certification import certify_platform, platfor
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.problems.arm import arm_recording_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
-from calib.diagnosis.report.diagnosis_report_verdict_and_folder import diagnosis_report
-from calib.identify.bounded_least_squares_and_robust_fit import (
+from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
+from calib.identify.bounded_and_robust_least_squares_fit import (
     MOST,
     isolated_outlier_rows,
     robust_fit,
     rows_with_several_deviating_or_one_gross_number,
     tail_quantile_ratio_to_normal_within_gate,
 )
-from calib.models.arm.certification import certify_arm as arm_certify
+from calib.models.arm.arm_certification import certify_arm as arm_certify
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim as arm_promised
-from calib.models.platform.identification import Loops, identify_platform
+from calib.models.platform.platform_identification import Loops, identify_platform
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp

@@ -10,7 +10,7 @@ from calib.api.recording_check_combination_and_view import remove_instrument_dis
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import recording_folder
 from rig.recording.combined_recordings import first_recording_by_camera, join_recordings

@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction, fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.drift.choice_and_order_of_visit_configurations import choose_visit_configurations
 from calib.drift.visit_history import History, add_visit_and_judge_change, read_history, write_history
-from calib.models.arm.certification import calibrate_arm
-from calib.models.chain.error_model_and_identification import identify_chain
-from calib.models.covariance_parameters import covariance_parameters, pose_scatter_covariance
+from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.calibration_covariance_parameters import covariance_parameters, pose_scatter_covariance
+from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file as world
 from synthetic import recording_simulation

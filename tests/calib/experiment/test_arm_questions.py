@@ -16,9 +16,10 @@ from rig.cli.command_line import main
 from rig.effects.catalogue.time_offset import TimeOffset
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation

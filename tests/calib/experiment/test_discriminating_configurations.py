@@ -21,7 +21,7 @@ from calib.experiment.platform_diagnosis_questions import (
     predicted_outcomes_of_two_likeliest_hypotheses,
 )
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from tests.calib.recordings_with_effects import recorded
 
 

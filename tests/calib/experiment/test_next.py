@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import write_plan_table
 
 

@@ -13,7 +13,7 @@ from calib.models import machine_models
 from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key
 from rig.model.mechanisms import hexapod
-from tests.calib.correction.test_correction import wavy
+from tests.calib.correction.test_machine_correction import wavy
 from tests.calib.noisy_samples import sampled, workspace
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.identify.bounded_least_squares_and_robust_fit import (
+from calib.identify.bounded_and_robust_least_squares_fit import (
     Linear,
     bounded_least_squares_step,
     fit_least_squares,

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm.certification import calibrate_arm
-from calib.models.chain import error_model_and_identification as chains
-from calib.models.chain.error_model_and_identification import identify_chain as identify_chain
-from calib.models.platform.identification import identify_platform
+from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.chain import chain_error_model_and_identification as chains
+from calib.models.chain.chain_error_model_and_identification import identify_chain as identify_chain
+from calib.models.platform.platform_identification import identify_platform
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 from rig.model.pose import exp, log

@@ -10,12 +10,12 @@ import pytest
 from calib.api.correction_extension_over_configuration_or_pose_space import ExtendOptions, certify_correction_extension
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import silent_progress
-from calib.correction.correction import Correction
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import SummedPasses
+from calib.correction.machine_correction import Correction
 from calib.files import calibration_file
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
-from calib.models.arm.correction import ArmCorrection
-from calib.models.chain.error_model_and_identification import parameter_jacobian, parameter_tolerances
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.chain.chain_error_model_and_identification import parameter_jacobian, parameter_tolerances
 from calib.models.machine_models import corrected_pose_covariance
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.errors import RigError

@@ -15,8 +15,8 @@ from calib.api.certify import certify
 from calib.api.diagnose import diagnose
 from calib.api.recording_check_combination_and_view import check_and_combine_recordings
 from calib.api.verify_and_watch import verify
-from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.error_model_and_observations import predicted_target_poses
+from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_error_model_and_instrument_observations import predicted_target_poses
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import RigError

@@ -7,7 +7,7 @@ import pytest
 
 from calib.models.fewest_configurations_for_accuracy import fewest_configurations_for_accuracy
 from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
-from calib.models.platform.identification import identify_platform
+from calib.models.platform.platform_identification import identify_platform
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanisms import hexapod

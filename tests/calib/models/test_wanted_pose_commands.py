@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform
 
 import calib
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.files import calibration_file
-from calib.models.arm.correction import ArmCorrection
-from calib.models.chain import error_model_and_identification as chains
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.chain import chain_error_model_and_identification as chains
 from calib.models.machine_models import corrected_pose_covariance
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect

@@ -9,8 +9,8 @@ from calib.online.information_filter_kernels_and_change_detection import (
     WINDOW,
     Evidence,
     detect_changes,
-    jump_threshold,
     likelihood_ratio_thresholds,
+    strut_jump_threshold,
 )
 
 ALARM, TRIALS = 0.02, 3000
@@ -38,7 +38,7 @@ def jumps(evidence):
 def test_the_search_over_struts_and_onsets_is_paid_for():
     rng = np.random.default_rng(0)
     greatest = np.array([jumps(quiet(rng)) for _ in range(TRIALS)])
-    rate = (greatest > jump_threshold(ALARM)).mean()
+    rate = (greatest > strut_jump_threshold(ALARM)).mean()
     assert ALARM / 3 < rate < ALARM + 3 * np.sqrt(ALARM / TRIALS), "the bound is not far above what there is"
     assert (greatest > -ndtri(ALARM / 2)).mean() > 5 * ALARM, (
         "one look's threshold would be exceeded many times as often"
@@ -46,7 +46,7 @@ def test_the_search_over_struts_and_onsets_is_paid_for():
 
 
 def test_quiet_poses_are_no_change(monkeypatch):
-    monkeypatch.setattr(information_filter_kernels_and_change_detection, "JUMP", jump_threshold(ALARM / 2))
+    monkeypatch.setattr(information_filter_kernels_and_change_detection, "JUMP", strut_jump_threshold(ALARM / 2))
     monkeypatch.setattr(
         information_filter_kernels_and_change_detection, "MOVED", likelihood_ratio_thresholds(ALARM / 2)
     )
@@ -55,7 +55,7 @@ def test_quiet_poses_are_no_change(monkeypatch):
 
 
 def test_thresholds_grow_with_what_is_looked_at():
-    assert jump_threshold(1e-6, 10) > jump_threshold(1e-6, 3) > jump_threshold(1e-5, 3)
+    assert strut_jump_threshold(1e-6, 10) > strut_jump_threshold(1e-6, 3) > strut_jump_threshold(1e-5, 3)
     assert likelihood_ratio_thresholds(1e-6, 10)[3] > likelihood_ratio_thresholds(1e-6, 3)[3]
     assert pytest.approx((5.31, 48.36), abs=0.01) == (
         information_filter_kernels_and_change_detection.JUMP,

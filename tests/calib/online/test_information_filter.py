@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     parameter_changes_by_base_and_platform_frame_motion,
 )
-from calib.models.platform.identification import identify_platform
+from calib.models.platform.platform_identification import identify_platform
 from calib.online.hexapod_information_filter import Online
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import FileError, RigError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
+from calib.models.platform.platform_identification import identify_platform, pose_parameter_jacobian
 from calib.online import forgetting_least_squares_kalman_and_gradient_learners as learners
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from rig.errors import FileError, RigError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.api.parameter_learning_pose_by_pose_from_recording import LearnOptions, learn
-from calib.models.covariance_parameters import covariance_parameters
+from calib.models.calibration_covariance_parameters import covariance_parameters
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import load_learner
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import RigError

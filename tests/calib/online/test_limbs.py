@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
-from calib.models.platform.identification import pose_parameter_jacobian
+from calib.models.platform.platform_identification import pose_parameter_jacobian
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.hexapod_information_filter import Online
 from calib.online.measuring_limb_poses_checked_by_vision import IN_A_ROW, LimbCheck, LiveLimbPoses
@@ -75,7 +75,7 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     np.testing.assert_array_equal(back.agreement.limits, accepted.agreement.limits)
     assert back.verdict == "accepted" and back.provenance == {"data": ["a"]}
     accepted_measuring_limbs_file.save_limbs(
-        path, accepted_measuring_limbs_file.withdraw_acceptance(back, "rec", 7, "it slipped")
+        path, accepted_measuring_limbs_file.limbs_with_acceptance_withdrawn(back, "rec", 7, "it slipped")
     )
     with pytest.raises(RigError, match="withdrawn at frame 7 of rec: it slipped"):
         accepted_measuring_limbs_file.load_accepted_limbs_for_design(path, limbed[0])
@@ -118,11 +118,11 @@ def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     spoil(tree)
     path.write_text(json.dumps(tree))
     with pytest.raises(FileError, match=says) as error:
-        accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(path)
+        accepted_measuring_limbs_file.load_limbs_of_any_verdict(path)
     assert str(path) in str(error.value)
     path.write_text(json.dumps(tree)[:200])
     with pytest.raises(FileError, match="cut off"):
-        accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(path)
+        accepted_measuring_limbs_file.load_limbs_of_any_verdict(path)
 
 
 def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.online.live_learner_limb_watch_run_state_and_display import Learner, LimbWatch
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import mechanisms

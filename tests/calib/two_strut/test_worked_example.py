@@ -11,10 +11,10 @@ from calib.two_strut.two_strut_patent_example_and_figures import (
     L2,
     NOMINAL,
     REAL,
-    compute_worked_example,
-    example_figures,
     hinge_positions_of_command_grid,
     reached_hinge_positions,
+    two_strut_example_figures,
+    two_strut_worked_example,
 )
 
 FIGURES = Path(__file__).parents[3] / "docs" / "two-strut"
@@ -22,11 +22,11 @@ FIGURES = Path(__file__).parents[3] / "docs" / "two-strut"
 
 @pytest.fixture(scope="module")
 def example():
-    return compute_worked_example()
+    return two_strut_worked_example()
 
 
 def test_the_figures_in_the_pages_are_drawn_by_this_code():
-    drawn = example_figures()
+    drawn = two_strut_example_figures()
     assert sorted(drawn) == sorted(path.stem for path in FIGURES.glob("*.svg")) and len(drawn) == 8
     page = (FIGURES.parent / "two-strut.md").read_text()
     for name, text in drawn.items():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correction.correction import Correction, require_commands_in_axis_ranges
-from calib.models.arm.correction import ArmCorrection
+from calib.correction.machine_correction import Correction, require_commands_in_axis_ranges
+from calib.models.arm.arm_correction import ArmCorrection
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import (
     are_nominal_poses_out_of_corrected_reach,
     correction_that_corrects_nothing,
@@ -14,7 +14,7 @@ from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import (
 )
 from rig.errors import Unreachable
 from rig.model.design import Planar2
-from rig.model.mechanisms import arm as arms
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as arms
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations

@@ -10,9 +10,9 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import platform_pose_covariance
-from calib.correction.correction import Correction, fit_geometry_and_remainder_of_correction
+from calib.correction.machine_correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.files import calibration_file
-from calib.models.arm.correction import ArmCorrection
+from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.machine_models import calibration_with_workspace
 from calib.workspace import workspace_page
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import COLUMNS, map_workspace, workspace_rows

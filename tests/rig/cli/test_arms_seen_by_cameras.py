@@ -9,12 +9,12 @@ import pytest
 
 from rig.errors import FileError
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
-from rig.model.mechanisms import arm
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as arm
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
-from synthetic.random_true_machine_and_truth_file import world_from_truth
+from synthetic.random_true_machine_and_truth_file import load_world_from_truth_file
 from tests.closed_loops import holds, lines, rig, simulate_with_truth, verified
 from vision.recording_measurement import measure_recording
 
@@ -55,7 +55,7 @@ def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     recorded(tmp_path, "hand", cameras=1, plan="sobol:24")
     rec = recording_folder.load_recording(tmp_path / "rec")
     poses, _ = measure_recording(rec)
-    world = world_from_truth(tmp_path / "truth.json", rec.design)
+    world = load_world_from_truth_file(tmp_path / "truth.json", rec.design)
     frames, t = rec.exposures.times()
     true = motion_simulation.simulate_machine_run(world.true, rec.commands, t, (), rec.sensors).T_base_platform[
         np.searchsorted(frames, poses.frames)
@@ -163,7 +163,7 @@ def test_reversals_at_speed_tell_an_arms_lag_from_a_clock():
     from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import separation_of_two_effects_by_plan
     from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
     from rig.planning.layout import shipped_arms_and_layouts
-    from rig.planning.plan import build_plan
+    from rig.planning.recording_plan import build_plan
 
     design, found = shipped_arms_and_layouts.load_shipped_arm_design("puma560"), {}
     lag, late = parse_effect("servo_lag:rig:time_constant=0.02"), parse_effect("time_offset:clock:offset=-0.02")

@@ -10,17 +10,18 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from calib.files import calibration_file
-from calib.models.chain import error_model_and_identification
-from calib.models.chain.error_model_and_identification import identify_chain
+from calib.models.chain import chain_error_model_and_identification
+from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.cli import command_line
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import effect_with_existing_place, parse_effect
 from rig.errors import FileError, RigError, Unreachable
 from rig.formats import csv_and_parquet_tables_and_time_origin, machine_geometry_and_effects_json_file
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.mechanisms import arm, hexapod, mechanism_chain
+from rig.model.machine_motion_simulation import simulate_machine_run
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as arm
 from rig.model.mechanisms import axis_place_texts as chain_places
-from rig.model.motion_simulation import simulate_machine_run
+from rig.model.mechanisms import hexapod, mechanism_chain
 from rig.model.pose import exp, log, pose, pose_difference
 from rig.planning.configuration_generators import sobol_configurations
 from rig.recording import recording_folder
@@ -67,14 +68,17 @@ def test_the_jacobians_are_the_differences(gantry):
         differences(lambda v: log(at.inv() * mechanism_chain.forward(v, gantry)), x),
         atol=1e-8,
     )
-    still = np.zeros(len(error_model_and_identification.parameter_names(gantry)))
+    still = np.zeros(len(chain_error_model_and_identification.parameter_names(gantry)))
     of = differences(
         lambda p: log(
-            at.inv() * mechanism_chain.forward(x, error_model_and_identification.chain_with_parameter_step(gantry, p))
+            at.inv()
+            * mechanism_chain.forward(x, chain_error_model_and_identification.chain_with_parameter_step(gantry, p))
         ),
         still,
     )
-    np.testing.assert_allclose(error_model_and_identification.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
+    np.testing.assert_allclose(
+        chain_error_model_and_identification.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7
+    )
 
 
 def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not(gantry):
@@ -127,7 +131,7 @@ def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path
     )
     free = np.diag(found.covariance) > 0
     off, covariance = (found.step - exact.step)[free], found.covariance[np.ix_(free, free)]
-    for part in error_model_and_identification.stage_parameter_slices(design.mechanism):  # stage by stage
+    for part in chain_error_model_and_identification.stage_parameter_slices(design.mechanism):  # stage by stage
         assert (
             np.abs(
                 (found.step - exact.step)[part][free[part]] / np.sqrt(np.diag(found.covariance)[part][free[part]])
@@ -160,7 +164,7 @@ def test_of_a_machine_as_stated_nothing_is_off(gantry):
     for one in found.undetermined:
         v = np.zeros(len(found.step))
         for name, weight in one.parameters:
-            v[error_model_and_identification.parameter_names(gantry).index(name)] = weight
+            v[chain_error_model_and_identification.parameter_names(gantry).index(name)] = weight
         assert v.any() and one.left > 0.5
 
 

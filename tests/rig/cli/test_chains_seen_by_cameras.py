@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.chain import error_model_and_identification
-from calib.models.chain.error_model_and_identification import identify_chain
+from calib.models.chain import chain_error_model_and_identification
+from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli import command_line
 from rig.errors import FileError
@@ -65,7 +65,7 @@ def test_cubes_on_the_carriage_tell_its_stages_apart(tmp_path, capfd):
     assert np.abs((found.step - step)[free] / sigma[free]).max() < 3.5 and np.abs(step[free]).max() > 3 * np.median(
         sigma[free]
     )
-    upper = error_model_and_identification.stage_parameter_slices(design.mechanism)[1]
+    upper = chain_error_model_and_identification.stage_parameter_slices(design.mechanism)[1]
     assert np.median(np.sqrt(np.diag(alone.covariance)[upper])) > 2 * np.median(sigma[upper])
 
 

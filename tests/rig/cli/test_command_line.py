@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.cli import command_import_execution_and_exit_status as cli
-from rig.cli.command_import_execution_and_exit_status import command_line_parser
+from rig.cli import command_parser_execution_and_exit_status as cli
 from rig.cli.command_line import main
 from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS, EARLIER_NAMES, GROUPS
+from rig.cli.command_parser_execution_and_exit_status import command_line_parser
 from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
     join_options_with_negative_numbers,
     nearest_known_word_if_mistyped,
@@ -136,7 +136,7 @@ def test_every_command_has_a_file_and_help():
 
 
 def test_no_option_takes_a_name_that_the_command_line_sets():
-    """What rig/cli/command_import_execution_and_exit_status.py keeps among the arguments would stand in the place of
+    """What rig/cli/command_parser_execution_and_exit_status.py keeps among the arguments would stand in the place of
     what was asked for."""
     tree = ast.parse(Path(cli.__file__).read_text())
     own = {
@@ -388,7 +388,7 @@ def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
 
 def test_help_of_every_command_opens_no_library():
     code = (
-        "import sys; from rig.cli.command_import_execution_and_exit_status import command_line_parser\n"
+        "import sys; from rig.cli.command_parser_execution_and_exit_status import command_line_parser\n"
         "from rig.cli.command_names_groups_summaries_and_exit_statuses import COMMANDS; command_line_parser(COMMANDS)\n"
         "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))"
     )

@@ -101,7 +101,7 @@ def test_nets_are_true_to_scale(tmp_path):
     import cv2
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from synthetic import print_sheets
+    from synthetic import printable_target_sheets as print_sheets
 
     target = design.targets[0]
     (page,) = print_sheets.sheets_of_target(target, "A3")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.files.calibration_file import save
 from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock
 from rig.errors import RigError

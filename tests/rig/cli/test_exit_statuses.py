@@ -4,13 +4,13 @@ import re
 
 import pytest
 
-from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command, command_line_parser
 from rig.cli.command_names_groups_summaries_and_exit_statuses import (
     COMMANDS,
     STATUSES,
     exit_status_meanings,
     exit_status_text,
 )
+from rig.cli.command_parser_execution_and_exit_status import argument_adder_and_runner_of_command, command_line_parser
 from tests.conftest import ROOT
 
 

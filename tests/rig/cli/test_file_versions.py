@@ -83,7 +83,7 @@ def refuted(path: Path) -> None:
 
 READERS = {  # schema: what reads such files
     "calibration/3": (calibration_file.load,),
-    "limbs/1": (accepted_measuring_limbs_file.load_limbs_whatever_their_verdict,),
+    "limbs/1": (accepted_measuring_limbs_file.load_limbs_of_any_verdict,),
     "online/1": (information_filter_state_steps_and_json_file.load_filter_state,),
     "learner/1": (learners.load_learner,),
     "watch/1": (lambda path: visit_history.read_history(path, ""),),
@@ -164,7 +164,7 @@ def test_limbs_of_before_there_were_more_than_six_are_the_six(tmp_path):
     path = written("limbs-1.json", tmp_path)
     tree = json.loads(path.read_text())
     assert "chosen" not in tree and "checks" not in tree
-    found = accepted_measuring_limbs_file.load_limbs_whatever_their_verdict(path)
+    found = accepted_measuring_limbs_file.load_limbs_of_any_verdict(path)
     assert (
         found.verdict == "accepted" and found.limbs.checks is None and found.limbs.chosen.tolist() == [0, 1, 2, 3, 4, 5]
     )

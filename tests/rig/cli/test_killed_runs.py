@@ -11,7 +11,7 @@ from rig.driving.run_journal import Departure, Ended, Exposed, Resumed, read_jou
 from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import PROTOCOLS
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording import recording_folder
 from tests.emulated_run import EmulatedRig, runner
 

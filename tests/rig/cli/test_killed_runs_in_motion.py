@@ -17,7 +17,7 @@ from rig.driving.run_journal import (
 )
 from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording import recording_folder
 from tests.emulated_run import EmulatedRig, runner
 

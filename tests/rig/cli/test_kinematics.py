@@ -11,12 +11,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.api.arm_kinematics import ArmKinematics
 from calib.api.nominal_and_calibrated_platform_kinematics import PlatformKinematics
-from calib.correction.correction import Correction
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.identification_and_joint_profiles import Profile
+from calib.correction.machine_correction import Correction
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_identification_and_joint_profiles import Profile
 from rig.formats.rig_toml.design_from_rig_toml import load_design
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, kinematics_of
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose, pose_difference, pose_to_vector
 from rig.planning.layout import shipped_arms_and_layouts
 from tests.calib import secret_arms as worlds

@@ -5,7 +5,7 @@ import argparse
 import numpy as np
 import pytest
 
-from rig.cli.command_import_execution_and_exit_status import argument_adder_and_runner_of_command
+from rig.cli.command_parser_execution_and_exit_status import argument_adder_and_runner_of_command
 from rig.cli.correct import _start
 from rig.cli.shared.argument_parser_option_value_parsing_and_shell_completion import (
     join_options_with_negative_numbers,

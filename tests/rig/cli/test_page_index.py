@@ -17,7 +17,7 @@ from calib.report.pose_and_effect_figures import (
 from rig.cli.command_line import main
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.output_files import MANIFEST, CommandOutputs
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.report.pages.page_templates_and_index_page import (
     Page,
     list_pages_below_folder,
@@ -25,7 +25,7 @@ from rig.report.pages.page_templates_and_index_page import (
     write_index_page,
     write_page,
 )
-from rig.report.pages.project_stages_and_files_without_pages import date_text, list_project_files
+from rig.report.pages.project_stages_and_files_without_pages import list_project_files, local_date_and_time_text
 from rig.report.verdict_refutations_and_result_display import State, Verdict
 from tests.conftest import ROOT
 
@@ -76,7 +76,7 @@ def test_an_index_states_the_latest_calibration_and_what_was_found_since(tmp_pat
         outputs.file(tmp_path / "commands.csv").write_text("l1\n")
     write_index_page(tmp_path / "index.html", tmp_path)
     found, index = read_page_summary(tmp_path / "index.html"), (tmp_path / "index.html").read_text()
-    dates = [date_text(k * day) for k in range(5)]
+    dates = [local_date_and_time_text(k * day) for k in range(5)]
     assert found.state == State.CHECK, "what a later calibration replaced does not count"
     assert found.why.split("; ") == [
         f"calibrated {dates[3]}: good",
@@ -99,7 +99,7 @@ def test_an_index_states_the_latest_calibration_and_what_was_found_since(tmp_pat
     written(5 * day, tmp_path / "verified.html", State.BAD, "beyond the claim", "verify")
     write_index_page(tmp_path / "index.html", tmp_path)
     found = read_page_summary(tmp_path / "index.html")
-    assert found.state == State.BAD and f"verified {date_text(5 * day)}: bad" in found.why
+    assert found.state == State.BAD and f"verified {local_date_and_time_text(5 * day)}: bad" in found.why
 
 
 def test_a_folder_with_an_unreadable_manifest_is_left_out_of_the_index(tmp_path):

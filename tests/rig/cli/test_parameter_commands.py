@@ -14,7 +14,7 @@ from rig.cli.command_line import main
 from rig.formats.csv_and_parquet_tables_and_time_origin import read_csv_table
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 
 
 @pytest.fixture

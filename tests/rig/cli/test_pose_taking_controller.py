@@ -12,7 +12,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.driving import emulators
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
 from rig.formats.rig_toml import design_from_rig_toml

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.files import calibration_file
-from rig.model.motion_simulation import simulate_machine_run
+from rig.model.machine_motion_simulation import simulate_machine_run
 from rig.recording.recording_folder import load_recording
 from tests.cli import run
 from tests.conftest import ROOT

@@ -9,7 +9,7 @@ import pytest
 from calib.files import calibration_file
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.configuration_generators import sobol_configurations
-from rig.planning.plan import axis_strokes
+from rig.planning.recording_plan import axis_strokes
 from rig.recording import corner_and_pose_csv_tables
 from tests.cli import command
 from tests.conftest import BENCH

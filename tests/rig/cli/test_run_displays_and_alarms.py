@@ -23,7 +23,7 @@ from rig.cli.shared.terminal_run_display_and_printed_controller_status import (
     run_state_lines,
 )
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import Frame
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.move_and_record_loop import RecordedFrame
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Readings, Remark
 from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
@@ -32,10 +32,10 @@ from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from tests.vision.reading.test_live_run_camera_and_marker_alarms import sight
 from vision.reading.live_measurement_and_corner_refit import Live, sight_from_measuring_limbs
-from vision.reading.parallel_image_map_marker_rendering_and_white_level import render_marker_images
+from vision.reading.parallel_image_map_marker_images_and_white_level import render_marker_images
 
 
 class Measured:

@@ -11,8 +11,8 @@ import time
 
 import pytest
 
-from rig.cli.command_import_execution_and_exit_status import command_line_parser
 from rig.cli.command_line import main
+from rig.cli.command_parser_execution_and_exit_status import command_line_parser
 from rig.cli.urgent_stop_before_slow_imports import (
     begin_urgent_stop_of_command_words,
     real_time_priority,

@@ -19,7 +19,7 @@ from tests.conftest import ROOT
 def forget():
     for found in (
         numba_compilation_and_kernel_cache_folder.kernel_cache_folder,
-        numba_compilation_and_kernel_cache_folder.user_cache_folder,
+        numba_compilation_and_kernel_cache_folder.user_kernel_cache_folder,
         numba_compilation_and_kernel_cache_folder.is_private_folder,
     ):
         found.cache_clear()
@@ -77,7 +77,7 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     theirs.chmod(mode)
     own = tmp_path / "home" / ".cache" / "rig"
     assert (
-        numba_compilation_and_kernel_cache_folder.private_folder_or_user_cache(theirs) == own
+        numba_compilation_and_kernel_cache_folder.private_or_user_kernel_cache_folder(theirs) == own
         and own.stat().st_mode & 0o077 == 0
     )
     assert numba_compilation_and_kernel_cache_folder.is_private_folder(theirs / "below") == (mode == 0o775), (
@@ -86,7 +86,7 @@ def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypat
     forget()
     own.chmod(mode)
     assert (
-        numba_compilation_and_kernel_cache_folder.private_folder_or_user_cache(theirs)
+        numba_compilation_and_kernel_cache_folder.private_or_user_kernel_cache_folder(theirs)
         == tmp_path / f"rig-kernels-{os.getuid()}"
     )
     assert f"others can write to {theirs}, and {own.parent} can be written to by others" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import Re
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
 from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import linearise
-from calib.diagnosis.problems.platform.scores_of_all_candidates import score_candidates
+from calib.diagnosis.problems.platform.platform_candidate_scores import score_candidates
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import MOST, split_into_decreasing_parts
 from tests.calib.recordings_with_effects import recorded

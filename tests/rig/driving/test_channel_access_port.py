@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
     ChannelAccessPort,
-    encode_frame,
+    encode_numbered_frame,
     last_valid_frame_in_line,
 )
 from rig.errors import ControllerFault, FileError, LinkLost, MissingLibrary, PositionLost, Stopped
@@ -63,7 +63,7 @@ class SoftIoc:
         """Words of an answer by a circuit of its own."""
         clock = SystemClock()
         port = ChannelAccessPort(f"ca://127.0.0.1:{self.port}", clock)
-        port.write(encode_frame(">", 1, text))
+        port.write(encode_numbered_frame(">", 1, text))
         out, end = b"", clock.now() + 5
         while not out.endswith(b"\n") and clock.now() < end:
             out += port.read(end)
@@ -235,7 +235,9 @@ def test_a_record_for_which_the_server_is_silent_does_not_keep_the_others_from_t
     )
     ioc.ask("PUT RIG:m1.VELO=1 RIG:m2.VELO=1")
     ioc.ask("PUT RIG:m1.VAL=-30 RIG:m2.VAL=-30")
-    writing = threading.Thread(target=port.write, args=(encode_frame(">", 1, "PUT RIG:x.STOP=1 RIG:m1.STOP=1"),))
+    writing = threading.Thread(
+        target=port.write, args=(encode_numbered_frame(">", 1, "PUT RIG:x.STOP=1 RIG:m1.STOP=1"),)
+    )
     writing.start()
     time.sleep(0.5)
     assert writing.is_alive() and ioc.ask("GET RIG:m1.DMOV RIG:m2.DMOV")[1:] == ["1.0", "0.0"]

@@ -20,8 +20,8 @@ import pytest
 from rig.cli.command_line import main
 from rig.driving import controller_lock_and_stop_of_its_holder
 from rig.driving import serial_and_epics_ports_and_checksummed_frames as ports
-from rig.driving.clock import SystemClock
 from rig.driving.controller_lock_and_stop_of_its_holder import ControllerLock, names_of_all_locks_of_controller
+from rig.driving.driving_clock import SystemClock
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort
 from rig.errors import LinkLost, RigError
 from rig.model.protocol_port_and_user_program_name_checks import port_problem
@@ -39,7 +39,7 @@ HOLD = (
     "flush=True)\n"
 )
 STOP = (
-    "import sys\nfrom rig.driving.clock import SystemClock\nfrom rig.errors import RigError\n"
+    "import sys\nfrom rig.driving.driving_clock import SystemClock\nfrom rig.errors import RigError\n"
     "from rig.driving.controller_lock_and_stop_of_its_holder import ask_lock_holder_to_end, await_end_of_lock_holder\n"
     "try:\n    holder = ask_lock_holder_to_end(sys.argv[1])\n"
     "    await_end_of_lock_holder(holder, sys.argv[1], SystemClock(), 5.0)\n"

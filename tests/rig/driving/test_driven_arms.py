@@ -13,11 +13,14 @@ import pytest
 
 from rig.cli import command_line
 from rig.driving.axis_display_units_and_controller_counts import controller_counts_per_metre_or_radian
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.emulators import emulator_opening_and_serving_over_terminal_or_tcp as opening
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
-from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import (
+    check_protocol_conformance,
+    protocol_conformance_design,
+)
 from rig.errors import FileError, PositionLost, Unreachable
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.model import mechanisms
@@ -42,14 +45,14 @@ def written(folder, arm, controller):
 @pytest.mark.parametrize("protocol", MACHINES)
 def test_every_arm_passes_the_conformance_checks(tmp_path, protocol):
     design = load_design(written(tmp_path, MACHINES[protocol][0], f'protocol = "{protocol}"\nport = "none"\n'))
-    checks = list(check_conformance(design, protocol, 40))
+    checks = list(check_protocol_conformance(design, protocol, 40))
     assert len(checks) == 28 and [(check.name, check.problem) for check in checks if check.problem] == []
 
 
 def test_conformance_of_urscript_without_a_rig_toml_is_tested_on_an_arm():
-    design = conformance_design(None, "urscript")
+    design = protocol_conformance_design(None, "urscript")
     assert design.mechanism.axis_words == ("joint",) * 6
-    assert not next(check_conformance(design, "urscript")).problem
+    assert not next(check_protocol_conformance(design, "urscript")).problem
 
 
 def test_joints_are_counted_in_degrees_and_slides_in_mm(tmp_path):

@@ -6,12 +6,12 @@ import sys
 
 import pytest
 
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.protocols.epics import Epics
 from rig.driving.request_and_answer_exchange_with_controller import Link
 from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
     ChannelAccessPort,
-    encode_frame,
+    encode_numbered_frame,
     last_valid_frame_in_line,
 )
 from rig.errors import ControllerFault
@@ -41,7 +41,7 @@ def url():
 def asked(port, text):
     """Words of an answer."""
     clock, out = SystemClock(), b""
-    port.write(encode_frame(">", 1, text))
+    port.write(encode_numbered_frame(">", 1, text))
     end = clock.now() + 5
     while not out.endswith(b"\n") and clock.now() < end:
         out += port.read(end)

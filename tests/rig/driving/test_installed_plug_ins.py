@@ -10,7 +10,7 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.driving.cameras import open_camera
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensors_of_rig_toml
 from rig.errors import RigError

@@ -10,7 +10,7 @@ from rig.driving.run_steps_from_plan_and_progress_from_journal import require_al
 from rig.errors import ControllerFault, MotionError, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording import recording_folder
 from tests.rig.run_folder import RAMP, SPEED, Killed, Onlooker, Room
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Faults
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import (
     emulator_of_design,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.emulators.emulated_axis_motion_and_controller_faults import ALWAYS, KINDS
 from rig.driving.emulators.emulator_opening_and_serving_over_terminal_or_tcp import home_lengths
 from rig.driving.emulators.move_trials_through_emulator_with_faults import (

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from rig.driving import universal_robots_real_time_interface_port
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort, packet
 from rig.errors import LinkLost
 

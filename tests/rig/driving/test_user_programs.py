@@ -29,7 +29,7 @@ def stated(folder, protocol="file:mine.py", port="none", source=None):
     folder.mkdir(exist_ok=True)
     path = folder / "rig.toml"
     path.write_text(text + CONTROLLER.format(protocol=protocol, port=port))
-    template = (ROOT / "rig" / "driving" / "example_protocol_with_emulator.py").read_text()
+    template = (ROOT / "rig" / "driving" / "example_user_protocol_with_emulator.py").read_text()
     (folder / "mine.py").write_text(template + MARK)
     return path
 

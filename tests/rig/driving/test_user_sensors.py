@@ -2,7 +2,7 @@
 
 import pytest
 
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
     open_sensors_of_rig_toml,
     refuse_programs_of_untrusted_rig_toml,

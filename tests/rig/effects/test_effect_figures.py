@@ -13,7 +13,7 @@ from rig.cli.command_line import main
 from rig.effects.catalogue.backlash import Backlash
 from rig.effects.catalogue.effect_list import ALL
 from rig.effects.catalogue.scale_error import ScaleError
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.effects.sketches.motion_effect_sketches import Sketch
 from rig.errors import RigError

@@ -9,13 +9,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.effects.framework.machine_motion_and_play import first_order_lag, play_operator
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Camera, Platform
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 
 def moved(design, values, t, effect, sensors=None):

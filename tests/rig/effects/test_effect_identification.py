@@ -15,7 +15,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.model.design import Planar2
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 
 
 @pytest.mark.parametrize(

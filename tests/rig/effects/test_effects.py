@@ -10,13 +10,13 @@ from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Arm
-from rig.model.mechanisms import arm as kinematics
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as kinematics
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
 from tests.rig.arms import UR10
-from vision.predict import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
 
 PLACES = {
     "axis": "strut 3",

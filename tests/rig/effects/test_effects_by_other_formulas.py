@@ -7,8 +7,8 @@ import pytest
 
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
-from rig.model import motion_simulation
-from rig.planning import plan
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.planning import recording_plan as plan
 from synthetic import random_true_machine_and_truth_file, recording_simulation
 from tests.calib.effects_by_other_formulas import OffsetSignals, SwungCardan, WarmedScrew
 from tests.calib.lifted_corners import lifted

@@ -9,13 +9,14 @@ import pytest
 
 from calib.diagnosis.problems.platform.platform_vibration_frequency_search import rank_one_direction_and_phase_fits
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import MOTION_STAGES, Context
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import effect_with_valid_place_and_parameters
 from rig.effects.framework.machine_motion_and_play import Path
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.base_and_link_tilt_sensors import GRAVITY
 from rig.model.design import Actuator, Arm, Design, Planar2, Platform
 from rig.model.pose import pose_difference
@@ -187,7 +188,8 @@ def test_effects_that_show_on_the_way_are_not_asked_for_at_rest(design):
 
 def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
     """The regressor times masses and mass moments is the torque of recursive Newton-Euler at rest."""
-    from rig.model.mechanisms import arm, arm_dynamics_and_step_by_step_kinematics
+    from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+    from rig.model.mechanisms import arm_kinematics_limits_and_loads as arm
 
     rng, mechanism = np.random.default_rng(4), Arm(UR10.joints, UR10.limits)
     q, mass, centre = rng.uniform(-2, 2, (20, 6)), rng.uniform(1, 5, 6), rng.uniform(-0.1, 0.1, (6, 3))
@@ -204,7 +206,7 @@ def test_a_joint_holds_its_links_as_newton_and_euler_say(design):
 
 
 def test_links_that_grow_move_the_hand_as_longer_links_do():
-    from rig.model.mechanisms import arm
+    from rig.model.mechanisms import arm_kinematics_limits_and_loads as arm
 
     q, grown = (
         np.random.default_rng(6).uniform(-2, 2, (10, 6)),

@@ -6,14 +6,14 @@ import pytest
 from rig.effects.catalogue.creep import Creep
 from rig.effects.catalogue.hysteresis import PLAYS, Hysteresis
 from rig.effects.catalogue.warm_up import WarmUp
-from rig.effects.framework.effect import COUNT, Candidate
+from rig.effects.framework.effect_base_class import COUNT, Candidate
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     effect_with_valid_place_and_parameters,
     fit_coordinates_of_effects,
 )
 from rig.effects.framework.parameters_covariates_and_marker_table import Linear
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.effects.test_effect_formulas import home, moved, out_and_back
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rig.effects.catalogue.effect_list import BY_NAME
-from rig.effects.framework.effect import Context
+from rig.effects.framework.effect_base_class import Context
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     effect_with_valid_place_and_parameters,
     fit_coordinates_of_effects,
@@ -21,8 +21,8 @@ from rig.effects.framework.unmodelled_curve_and_formula_quantities import (
     curve_classes_by_covariate,
 )
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
+from rig.model.machine_motion_simulation import motion_of_commands
 from rig.model.mechanisms import kinematics_of
-from rig.model.motion_simulation import motion_of_commands
 from rig.recording.recording_folder import Commands, Sensors
 from tests.rig.effects.test_effect_formulas import home
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from rig.cli.command_line import main
-from rig.effects.catalogue.effect_list import ALL, catalogue_with_files
-from rig.effects.framework.effect import Effect
+from rig.effects.catalogue.effect_list import ALL, effect_catalogue_with_user_files
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import load_effect_file, parse_effect
 from rig.errors import FileError
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict, effect_to_dict
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from tests.conftest import ROOT
 from tests.rig.effects.test_effects_of_all_machines import context_of, setting_of
 
@@ -132,7 +132,7 @@ def test_no_effect_of_the_catalogue_calls_a_parameter_so():
 def test_a_sound_file_is_an_effect_like_any_other(tmp_path, design):
     path = written(tmp_path)
     plugin = load_effect_file(path)
-    known = catalogue_with_files((plugin,))
+    known = effect_catalogue_with_user_files((plugin,))
     assert (
         list(known) == [*(kind.name for kind in ALL), "mine"]
         and plugin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -167,7 +167,7 @@ def test_two_files_do_not_share_a_name(tmp_path):
     first = load_effect_file(written(tmp_path))
     (tmp_path / "other.py").write_text(SOUND)
     with pytest.raises(FileError, match="other.py:12: there is an effect 'mine' already, in .*mine.py"):
-        catalogue_with_files((first, load_effect_file(tmp_path / "other.py")))
+        effect_catalogue_with_user_files((first, load_effect_file(tmp_path / "other.py")))
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):

@@ -11,7 +11,7 @@ from rig.cli.go import parse_pose
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
-from rig.formats.importers.foreign_table_columns import NUMBER
+from rig.formats.importers.foreign_table_column_search_and_completion import NUMBER
 from rig.formats.numbers_and_units import SI, NotFinite, parse_length_and_angle_units, parse_number, parse_whole_number
 from rig.model import calibration_board_layout_and_description_parsing
 from rig.recording.frame_selection_and_content_hashes import parse_frame_ranges

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 import rig
 from rig.errors import FileError, NotConverged, Unreachable
 from rig.model.mechanisms import kinematics_of
-from rig.model.mechanisms.file_mechanism import (
+from rig.model.mechanisms.user_kinematics_file_mechanism import (
     loop_closure_parameter_jacobian,
     nominal_mechanism_of_kinematics_file,
     with_scaled_parameters,

@@ -9,7 +9,8 @@ from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
 from calib.samples.exposure_conditions import approach_direction
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from rig.planning.timed_plan_and_visiting_order import REACHES
 from rig.recording.recording_folder import PAYLOAD
 

@@ -13,8 +13,8 @@ from scipy.stats import chi2
 from rig.cli import command_line
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,

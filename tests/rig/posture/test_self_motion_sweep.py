@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference
 from rig.posture.arm_force_transmission_and_exertable_wrench import TransmissionObjective, transmission_measure
 from rig.posture.self_motion_sweep import sweep_self_motion

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.posture.best_posture import PostureOptions, best_posture
 from rig.posture.external_wrench_from_torque_table import measure_wrench
 from tests.cli import run

@@ -14,9 +14,9 @@ from rig.cli import command_line
 from rig.errors import FileError, RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.rig_toml import arm_dynamics_entries
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics as dynamics
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import pose_difference
 from rig.posture import (
     arm_force_transmission_and_exertable_wrench,

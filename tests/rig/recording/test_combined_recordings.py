@@ -13,7 +13,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.effects.framework.parameters_covariates_and_marker_table import Drawing
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.pose import exp, pose, pose_to_vector
 from rig.recording import recording_folder as recording
 from rig.recording.combined_recordings import first_recording_by_camera, join_recordings

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import Agreement
 from calib.experiment.investigation_folder_and_report import Hypothesis, InvestigationRound, write_investigation_page
-from calib.report.online_learning_and_measuring_limb_pages import write_measuring_limbs_page
+from calib.report.online_learning_and_limb_vision_agreement_pages import write_measuring_limbs_page
 from synthetic.blind_campaign_page import write_campaign_page
 from synthetic.blind_diagnosis_score import Case, Found, Hidden
 

@@ -5,7 +5,7 @@ tests in a browser.
 import pytest
 
 from docs.make import project
-from rig.report.pages.html_and_svg_elements import captioned_html, svg_figure
+from rig.report.pages.html_and_svg_elements import figures_with_caption_html, svg_figure
 from tests.rig.report.figure_captions import unexplained_drawings
 from tests.rig.report.made_pages import write_made_pages
 
@@ -14,10 +14,10 @@ CAPTION = "Dots: errors (mm) of each pose. Good: near 0. Bad: a trend."
 
 def test_what_has_no_caption_is_found():
     drawn = svg_figure(10, "errors", [])
-    assert unexplained_drawings(captioned_html(drawn, CAPTION)) == []
+    assert unexplained_drawings(figures_with_caption_html(drawn, CAPTION)) == []
     assert unexplained_drawings(drawn) == ["errors"]
-    assert unexplained_drawings(captioned_html(drawn, "errors")) == ["errors"]
-    assert unexplained_drawings(captioned_html("", CAPTION) + drawn) == ["errors"]
+    assert unexplained_drawings(figures_with_caption_html(drawn, "errors")) == ["errors"]
+    assert unexplained_drawings(figures_with_caption_html("", CAPTION) + drawn) == ["errors"]
     assert unexplained_drawings(f"<figure>{drawn}<figcaption>{CAPTION}</figcaption></figure>{drawn}") == ["errors"]
 
 

@@ -10,11 +10,11 @@ import pytest
 from rig.model.pose import pose_difference
 from synthetic.unlisted_effects_and_corner_noise import DISTURBANCES, _add_air_shimmer, _add_shaken_frames
 from tests.vision.drawn_observations import scene, standing
-from tests.vision.test_recording_adjustment import joint_chi2
-from vision import recording_adjustment
+from tests.vision.test_recording_adjustment_with_hand_and_stages import joint_chi2
+from vision import recording_adjustment_with_hand_and_stages as recording_adjustment
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import crossvalidate_adjustment
-from vision.predict import marker_map
-from vision.recording_adjustment import measure_observations
+from vision.marker_corner_prediction import marker_map
+from vision.recording_adjustment_with_hand_and_stages import measure_observations
 
 NOISE = 0.04  # px
 FRAMES = 60
@@ -38,7 +38,9 @@ def test_poses_scatter_as_their_covariance_says(design, disturb):
 
 def test_sound_recordings_are_measured_as_by_equal_and_independent_errors(design, monkeypatch):
     found, _ = measured(design, None, 12)
-    monkeypatch.setattr(recording_adjustment, "with_covariance_of_unlike_errors", lambda _, adjustment, own: adjustment)
+    monkeypatch.setattr(
+        recording_adjustment, "adjustment_with_correlated_error_covariance", lambda _, adjustment, own: adjustment
+    )
     plain, _ = measured(design, None, 12)
     assert (found.covariance == plain.covariance).all() and (found.common == plain.common).all()
     assert (found.adjustment.shared_factor == plain.adjustment.shared_factor).all()
@@ -46,7 +48,9 @@ def test_sound_recordings_are_measured_as_by_equal_and_independent_errors(design
 
 def test_air_counts_in_poses_and_in_what_frames_share(design, monkeypatch):
     found, _ = measured(design, _add_air_shimmer, 13)
-    monkeypatch.setattr(recording_adjustment, "with_covariance_of_unlike_errors", lambda _, adjustment, own: adjustment)
+    monkeypatch.setattr(
+        recording_adjustment, "adjustment_with_correlated_error_covariance", lambda _, adjustment, own: adjustment
+    )
     plain, errors = measured(design, _add_air_shimmer, 13)
     assert joint_chi2(plain, errors) / errors.size > 2
     assert (found.T_base_platform.as_matrix() == plain.T_base_platform.as_matrix()).all()

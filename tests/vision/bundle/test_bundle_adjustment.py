@@ -15,7 +15,7 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import de
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     UnknownName,
     estimate_after_step,
-    offset_from_stated,
+    estimate_offset_from_stated,
     rigid_transform_aligning_points,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
@@ -24,8 +24,8 @@ from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import (
 )
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import whitened_residuals_and_derivatives
-from vision.corner_observations import correlations_of_whitened_marker_corners, whitener_of_observations
-from vision.predict import State, marker_map, predict_corners
+from vision.corner_observations_and_merging import correlations_of_whitened_marker_corners, whitener_of_observations
+from vision.marker_corner_prediction import State, marker_map, predict_corners
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,8 @@ def test_optimum_equals_scipys(setting, free):
     def residual(p):
         moved = estimate_after_step(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
         return np.r_[
-            whitened(observations, moved.state).ravel(), (u.prior * offset_from_stated(moved, state, u))[u.prior > 0]
+            whitened(observations, moved.state).ravel(),
+            (u.prior * estimate_offset_from_stated(moved, state, u))[u.prior > 0],
         ]
 
     zero = np.zeros(u.basis.shape[1] + 36)

@@ -10,9 +10,9 @@ from rig.model.pose import log
 from tests.vision.handmade_body import Handmade, handmade
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
 from vision.bundle.marker_and_target_displacements import are_stated_places_doubtful, marker_and_target_displacements
-from vision.corner_observations import observations_from_corners
-from vision.predict import marker_map
-from vision.recording_adjustment import Measurement
+from vision.corner_observations_and_merging import observations_from_corners
+from vision.marker_corner_prediction import marker_map
+from vision.recording_adjustment_with_hand_and_stages import Measurement
 from vision.recording_measurement import measure_with_stated_or_free_markers
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries, design_from_rig_toml
+from rig.formats.rig_toml import camera_instrument_experiment_and_cube_turn_entries, design_from_rig_toml
 from rig.model.pose import log, pose_difference
 from tests.vision.tumbling_block import scene
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
@@ -17,8 +17,8 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import rigid_transform_aligning_points
 from vision.bundle.bundle_adjustment import adjust_bundle
 from vision.bundle.marker_and_target_displacements import adjusted_markers, compare_stated_and_adjusted_places
-from vision.predict import marker_map
-from vision.recording_adjustment import measure_observations
+from vision.marker_corner_prediction import marker_map
+from vision.recording_adjustment_with_hand_and_stages import measure_observations
 from vision.recording_measurement import unsolved_frames_with_enough_markers
 
 FREE = ("lenses", "markers")
@@ -124,7 +124,9 @@ def test_places_are_written_into_rig_toml_and_read_back(worked, tmp_path):
     )
     path = tmp_path / "rig.toml"
     path.write_text(
-        camera_instrument_experiment_and_cube_entries.rig_toml_with_target_markers_replaced(text, adjusted_markers(m))
+        camera_instrument_experiment_and_cube_turn_entries.rig_toml_with_target_markers_replaced(
+            text, adjusted_markers(m)
+        )
     )
     loaded = marker_map(design_from_rig_toml.load_design(path))
     np.testing.assert_allclose(loaded.corners, m.adjustment.state.markers.corners, atol=1e-8)

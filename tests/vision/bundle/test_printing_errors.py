@@ -11,17 +11,17 @@ from rig.model.arm_hands_effect_places_and_tolerances import PLACES, SIDES
 from rig.model.pose import exp, pose_difference
 from tests.numerical_derivatives import jacobian
 from tests.vision.drawn_observations import nees, scene, standing
-from tests.vision.test_recording_adjustment import joint_chi2
+from tests.vision.test_recording_adjustment_with_hand_and_stages import joint_chi2
 from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import (
     Printing,
     estimate_after_step,
-    offset_from_stated,
+    estimate_offset_from_stated,
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import whitened_residuals_and_derivatives
-from vision.corner_observations import whitener_of_observations
-from vision.predict import State, marker_map, predict_corners
-from vision.recording_adjustment import measure_observations
+from vision.corner_observations_and_merging import whitener_of_observations
+from vision.marker_corner_prediction import State, marker_map, predict_corners
+from vision.recording_adjustment_with_hand_and_stages import measure_observations
 
 FREE = ("poses", "lenses")
 NOISE = 0.005  # px, of a good image
@@ -78,7 +78,7 @@ def test_the_common_part_of_the_sides_is_what_the_priors_make_likeliest(design):
     u, estimate = adjustment_unknowns_and_start_estimate(
         observations, state, replace(state, markers=marker_map(stated)), FREE, printing=Printing(0.0, 0.0, 0.0, 1.0)
     )
-    away = offset_from_stated(estimate, replace(state, markers=marker_map(stated)), u)
+    away = estimate_offset_from_stated(estimate, replace(state, markers=marker_map(stated)), u)
     own = np.concatenate([np.arange(c.start, c.stop) for c in u.prints.rows.values()])
 
     def cost(common):

@@ -7,18 +7,18 @@ import pytest
 
 from tests.vision.drawn_observations import known, scene
 from vision.bundle import bundle_adjustment as adjusting
-from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import offset_from_stated
+from vision.bundle.adjustment_unknowns_estimate_and_marker_printing_errors import estimate_offset_from_stated
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import adjustment_unknowns_and_start_estimate
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     normal_equations,
     whitened_residuals_and_derivatives,
 )
-from vision.corner_observations import (
+from vision.corner_observations_and_merging import (
     correlations_of_whitened_marker_corners,
     merge_repeated_corners,
     whitener_of_observations,
 )
-from vision.predict import State
+from vision.marker_corner_prediction import State
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_cost_and_normal_equations_are_the_same(setting):
         residual, derivatives = whitened_residuals_and_derivatives(o, estimate, u, whitener_of_observations(o))
         both.append(
             (
-                normal_equations(o, derivatives, u, offset_from_stated(estimate, state, u)),
+                normal_equations(o, derivatives, u, estimate_offset_from_stated(estimate, state, u)),
                 float((residual**2).sum()) + rest,
             )
         )

@@ -6,7 +6,7 @@ import cv2
 
 from rig.model.design import Marker, Target
 from rig.model.pose import pose
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 
 NAME = "DICT_5X5_100"
 

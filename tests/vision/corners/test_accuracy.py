@@ -7,7 +7,7 @@ from scipy.ndimage import map_coordinates
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, detect_markers, fit_read_markers
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from vision.corners.blurred_edge_image_model_and_numba_kernels import order_statistic
 from vision.corners.edge_pixels import MEETS, NONE, NOWHERE, VIEWS, pixel_edge_kinds
-from vision.predict import marker_cells
+from vision.marker_corner_prediction import marker_cells
 
 LEFT, RIGHT, TOP, BOTTOM = 1, 2, 4, 8
 

@@ -5,7 +5,7 @@ import pytest
 
 from rig.model.design import Camera
 from rig.model.pose import pose
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.corners import local_lens_and_fit_start
 
 LENSES = [(-0.1, 0.08, 0, 0, 0), (-0.25, 0.1, 0.0004, -0.0003, 0), (-0.3, 0.12, 0.001, -0.001, -0.02)]
@@ -37,7 +37,7 @@ def test_it_is_the_lens_along_the_sides_of_a_large_marker(distortion, quad):
         middle, camera.matrix, camera.distortion
     )
     local = (along - middle) / scale
-    near = np.array([local_lens_and_fit_start.pixel_to_ideal(terms[0], u, v) for u, v in local])
+    near = np.array([local_lens_and_fit_start.local_pixel_to_local_ideal(terms[0], u, v) for u, v in local])
     away = near * scale - exact * 1640  # the same everywhere is no matter: it is taken back with the corners
     assert np.abs(away - away[::9].mean(axis=0)).max() < 3e-4  # px
     assert (
@@ -55,11 +55,11 @@ def test_it_is_the_lens_along_the_sides_of_a_large_marker(distortion, quad):
 def test_how_it_changes_is_its_derivative():
     terms, step = np.random.default_rng(0).normal(size=(2, local_lens_and_fit_start.TERMS)) * 0.02, 1e-6
     terms[0, 1] = terms[1, 2] = 1.0
-    at = local_lens_and_fit_start.pixel_to_ideal(terms, 0.3, -0.4)
+    at = local_lens_and_fit_start.local_pixel_to_local_ideal(terms, 0.3, -0.4)
     found = local_lens_and_fit_start.local_ideal_to_local_pixel_and_derivatives(terms, *at, 0.3, -0.4)
 
     def ideal(u, v):
-        return np.array(local_lens_and_fit_start.pixel_to_ideal(terms, u, v))
+        return np.array(local_lens_and_fit_start.local_pixel_to_local_ideal(terms, u, v))
 
     differences = np.stack(
         [(ideal(0.3 + du, -0.4 + dv) - ideal(0.3 - du, -0.4 - dv)) / (2 * step) for du, dv in ((step, 0), (0, step))],

@@ -11,7 +11,7 @@ from rig.model.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import SIZE, camera, picture, quad
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, detect_markers, fit_read_markers
-from vision.predict import expected_marker_rows_and_corners_in_image, marker_map
+from vision.marker_corner_prediction import expected_marker_rows_and_corners_in_image, marker_map
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.exact_pictures import quad
 from vision.corners.marker_detection_and_corner_fit import read_markers
-from vision.predict import marker_cells
+from vision.marker_corner_prediction import marker_cells
 
 FINE = 12  # texture pixels to a cell
 NEAR = 0.9  # share of the markers read, whose corners are so near; others are partly covered

@@ -14,7 +14,7 @@ from rig.model.calibration_board_layout_and_description_parsing import parse_boa
 from rig.model.design import Camera
 from rig.model.pose import pose, transform_points
 from tests.numerical_derivatives import jacobian
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.lenses import calibration_board_corner_detection_in_photograph
 from vision.lenses.calibration_board_corner_detection_in_photograph import find_board_corners
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from vision.pose.pose_refinement_and_ambiguity_resolution import (
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import (
     choose_poses_by_neighbours,
     neighbour_rotation_scatter,
     pose_from_neighbours,

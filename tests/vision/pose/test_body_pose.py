@@ -9,8 +9,8 @@ from rig.model.design import Marker, Target
 from rig.model.pose import pose, pose_difference
 from tests.vision import tumbling_block
 from tests.vision.drawn_observations import known, nees, scene
+from vision.marker_corner_prediction import marker_map
 from vision.pose.body_pose import BodyCorners, body_pose_from_corners, undistorted_corners_and_covariance
-from vision.predict import marker_map
 
 
 def view_of(observations, design, frame, keep=None):

@@ -14,7 +14,7 @@ from rig.model.pose import exp, pose_difference
 from rig.recording.recording_folder import Commands, Exposures, Recording
 from tests.vision.reading.test_marker_identity import printed
 from vision.corners import marker_detection_and_corner_fit
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 from vision.reading import corner_reading_from_recording_images as collecting
 from vision.reading import marker_identity_mistakes_and_expected_marker_places
 from vision.reading.corner_reading_from_recording_images import LEARN_FROM, read_corners_of_all_images
@@ -85,7 +85,9 @@ def test_only_the_images_that_teach_are_searched(drawn, searches, monkeypatch, h
     markers = marker_map(recording.design)
     found = read_corners_of_all_images(recording, markers)
     assert len(searches) == LEARN_FROM and found.left_out == []
-    monkeypatch.setattr(marker_identity_mistakes_and_expected_marker_places, "learn_expected_places", lambda *_: None)
+    monkeypatch.setattr(
+        marker_identity_mistakes_and_expected_marker_places, "learn_expected_marker_places", lambda *_: None
+    )
     whole = read_corners_of_all_images(recording, markers)
     assert len(searches) == 2 * LEARN_FROM + FRAMES - LEARN_FROM
 
@@ -124,7 +126,7 @@ def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeyp
     taught = replace(camera, distortion=camera.distortion + 1e-4)
     monkeypatch.setattr(
         marker_identity_mistakes_and_expected_marker_places,
-        "learn_expected_places",
+        "learn_expected_marker_places",
         lambda *_: marker_identity_mistakes_and_expected_marker_places.Expectation(
             (taught,), markers, dict(enumerate(T))
         ),
@@ -172,7 +174,7 @@ def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, 
 
 
 def expect_places(recording, T):
-    from vision.predict import expected_marker_rows_and_corners_in_image
+    from vision.marker_corner_prediction import expected_marker_rows_and_corners_in_image
 
     return expected_marker_rows_and_corners_in_image(recording.design.cameras[0], T, marker_map(recording.design))
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from rig.driving.cameras.camera_opening_with_folder_and_emulator_sources import USUAL
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Sensor
 from rig.model.mechanisms import hexapod

@@ -9,14 +9,14 @@ import pytest
 from rig.effects.catalogue.marker_swap import MarkerSwap
 from rig.model.pose import pose_difference
 from tests.vision.drawn_observations import nees, scene
-from vision.predict import expected_marker_rows_and_corners_in_image, marker_cells, marker_map
+from vision.marker_corner_prediction import expected_marker_rows_and_corners_in_image, marker_cells, marker_map
 from vision.reading.corner_reading_from_recording_images import Collected, Unplaced
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import (
     Suspect,
     find_suspicious_markers,
     no_marker_reason,
 )
-from vision.recording_adjustment import measure_observations
+from vision.recording_adjustment_with_hand_and_stages import measure_observations
 
 
 def spoilt(design, spoil=None, repeated=(), read=None, frames=12):

@@ -12,7 +12,7 @@ from rig.errors import FileError, NotEnoughData
 from rig.model.pose import pose_difference
 from rig.recording import recording_folder
 from tests.conftest import BENCH, make_recording
-from vision.predict import marker_map
+from vision.marker_corner_prediction import marker_map
 from vision.reading.corner_reading_from_recording_images import read_corners_of_all_images
 from vision.reading.live_measurement_and_corner_refit import SETTLED, largest_pixel_shift_between_lenses
 from vision.recording_measurement import measure_recording

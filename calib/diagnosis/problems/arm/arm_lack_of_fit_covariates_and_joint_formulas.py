@@ -30,6 +30,7 @@ from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranki
     test_lack_of_fit,
 )
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import Reduced
+from calib.diagnosis.problems.arm.arm_candidate_scores import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
     has_continuous_parameters,
     term_parameter_covariance,
@@ -38,7 +39,6 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import optimise_terms
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term, fit_terms_to_poses
-from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
     AGREE,
     NAME,

@@ -28,6 +28,11 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import labelled_progress
 from calib.diagnosis.problems.arm import arm_lack_of_fit_covariates_and_joint_formulas as remainder
+from calib.diagnosis.problems.arm.arm_candidate_scores import (
+    candidate_column_at_scanned_parameters,
+    candidate_with_grid_nodes,
+    score_candidates,
+)
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import has_continuous_parameters
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     JointCandidate,
@@ -46,13 +51,8 @@ from calib.diagnosis.problems.arm.profile_and_sinusoid_simplification import (
     simplify_profiles,
 )
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term, fit_terms_to_poses
-from calib.diagnosis.problems.arm.scores_of_all_candidates import (
-    candidate_column_at_scanned_parameters,
-    candidate_with_grid_nodes,
-    score_candidates,
-)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import HeldOutPoses
-from calib.identify.bounded_least_squares_and_robust_fit import time_block_folds
+from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.model.arm_hands_effect_places_and_tolerances import Place

@@ -76,11 +76,11 @@ from calib.diagnosis.problems.pose_noise_excess import (
     noise_factors,
     scaled_pose_covariance,
 )
-from calib.identify.bounded_least_squares_and_robust_fit import MOST, isolated_outlier_rows, robust_fit
+from calib.identify.bounded_and_robust_least_squares_fit import MOST, isolated_outlier_rows, robust_fit
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import UNSTATED, JointFit
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.design import Design

@@ -12,6 +12,7 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     FrameProducts,
     normal_equations_by_direction_weights,
 )
+from calib.diagnosis.problems.arm.arm_candidate_scores import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import axis_unit
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
@@ -19,14 +20,13 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     effect_candidate_of_node,
 )
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit
-from calib.diagnosis.problems.arm.scores_of_all_candidates import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.detectable_effect_sizes import (
     DetectableSize,
     NodeLook,
     detectable_size,
-    mean_square,
-    sampled_nodes,
-    smallest_of_each_place,
+    evenly_spaced_grid_nodes,
+    mean_square_displacement_matrix,
+    smallest_detectable_size_by_place,
 )
 
 
@@ -45,7 +45,7 @@ def detectable_joint_effect_sizes(problem: ArmProblem, fit: Fit) -> list[Detecta
         if candidate.joint not in products:
             products[candidate.joint] = joint_motion_normal_equations_by_frame(fit, candidate.joint)
         out.append(_size(problem, fit, candidate, products[candidate.joint], threshold))
-    return smallest_of_each_place(out)
+    return smallest_detectable_size_by_place(out)
 
 
 def _size(
@@ -56,7 +56,7 @@ def _size(
         nothing = np.zeros(weights.shape[2])
         return residual_dispersion(fit.linear, products, weights, nothing, problem.policy.cluster)
 
-    looks = [_look(fit, candidate, products, node) for node in sampled_nodes(candidate.grid)]
+    looks = [_look(fit, candidate, products, node) for node in evenly_spaced_grid_nodes(candidate.grid)]
     return detectable_size(
         candidate, lambda node: effect_candidate_of_node(candidate.specs, node), looks, dispersion, threshold
     )
@@ -69,4 +69,4 @@ def _look(fit: Fit, candidate: JointCandidate, products: FrameProducts, node: No
     share = np.linalg.solve(G + np.diag(1 / candidate.prior(node) ** 2), G)
     moved = weights[:, :3] - weights[:, :3].mean(axis=0)  # of the whole hand, its position
     unit = fit.arms.unit if candidate.joint is None else axis_unit(fit, candidate.joint)
-    return NodeLook(node, G @ share, float(np.trace(share)), mean_square(moved), unit)
+    return NodeLook(node, G @ share, float(np.trace(share)), mean_square_displacement_matrix(moved), unit)

@@ -22,6 +22,10 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     solve_with_prior,
 )
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
+from calib.diagnosis.problems.arm.arm_candidate_scores import (
+    joint_motion_normal_equations_by_frame,
+    solve_candidate_at_nodes,
+)
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     SPAN,
     Form,
@@ -30,10 +34,6 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term
-from calib.diagnosis.problems.arm.scores_of_all_candidates import (
-    joint_motion_normal_equations_by_frame,
-    solve_candidate_at_nodes,
-)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     Value,
     onset_time_with_interval,
@@ -42,7 +42,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 from rig.array_and_json_types import Floats
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.recording.recording_folder import Sensors
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid

@@ -27,21 +27,21 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     RequestedEffects,
     Value,
 )
-from calib.models.arm.certification import UNPLACED, start_arm_of_fit
-from calib.models.arm.error_model_and_observations import observations_of_samples
+from calib.models.arm.arm_certification import UNPLACED, start_arm_of_fit
+from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
-from calib.models.arm.pointing_terms import tube_flexure_effect
+from calib.models.arm.mount_pointing_terms import tube_flexure_effect
 from calib.samples.commanded_and_measured_pose_samples import Sampled
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import lean_under_link_weight
-from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Candidate as EffectCandidate
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, QUADRATURE
 from rig.errors import RigError
+from rig.model.machine_motion_simulation import motion_of_commands
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm
-from rig.model.motion_simulation import motion_of_commands
 from rig.recording.recording_folder import Recording
 
 

@@ -18,20 +18,24 @@ from scipy.spatial.transform import RigidTransform
 from calib.correction.physical_effects_of_calibration_and_their_compensation import poses_with_predicted_rotations
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import require_enough_poses
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import row_pairs_with_same_command
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.error_model_and_observations import KINDS, observation_jacobian, observations_of_samples
-from calib.models.chain import error_model_and_identification as chains
-from calib.models.chain.error_model_and_identification import identify_chain
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_error_model_and_instrument_observations import (
+    KINDS,
+    observation_jacobian,
+    observations_of_samples,
+)
+from calib.models.chain import chain_error_model_and_identification as chains
+from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Context
 from rig.errors import RigError
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Arm, Chain
-from rig.model.mechanisms import arm as mechanism_arm
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism_arm
 from rig.model.mechanisms import mechanism_chain as mechanism
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_arm, require_chain
 from rig.model.pose import pose_difference
@@ -196,7 +200,9 @@ def linearise_planned_poses(
         raise RigError("future poses can be predicted for an arm with one hand only")
     frame, view = np.arange(len(t)), None
     if arms.sight is not None:
-        view = arms.sight(error_model_and_observations.predicted_target_poses(commands.at(t), geometry.mechanism))
+        view = arms.sight(
+            arm_error_model_and_instrument_observations.predicted_target_poses(commands.at(t), geometry.mechanism)
+        )
         frame, t = np.flatnonzero(view.seen), t[view.seen]
         if not len(t):
             raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
@@ -204,12 +210,15 @@ def linearise_planned_poses(
     kind = _kind_of_rows(k)
     freedoms = (
         observation_jacobian(
-            kind, error_model_and_observations.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism
+            kind,
+            arm_error_model_and_instrument_observations.parameter_jacobian(q, geometry.mechanism),
+            q,
+            geometry.mechanism,
         )
         @ geometry.basis
     )
     joints = observation_jacobian(
-        kind, error_model_and_observations.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism
+        kind, arm_error_model_and_instrument_observations.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism
     )
     context = replace(
         arms.context,
@@ -240,7 +249,7 @@ def _of_arm(samples: Samples, design: Design) -> Linear:
         Geometry(
             found.arm,
             np.eye(len(free))[:, free],
-            partial(error_model_and_observations.arm_with_parameter_step, found.arm),
+            partial(arm_error_model_and_instrument_observations.arm_with_parameter_step, found.arm),
         ),
         observations.residuals(found.arm),
         observations.jacobian(found.arm)[..., free],

@@ -10,6 +10,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     SelectionPolicy,
     StatedTerms,
 )
+from calib.diagnosis.problems.arm.arm_candidate_scores import score_candidates
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
     has_continuous_parameters,
     optimise_nonlinear_parameters,
@@ -21,7 +22,6 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     JointCandidate,
 )
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, Term, fit_terms_to_poses
-from calib.diagnosis.problems.arm.scores_of_all_candidates import score_candidates
 from rig.array_and_json_types import Booleans
 from rig.effects.framework.parameters_covariates_and_marker_table import COUNT
 

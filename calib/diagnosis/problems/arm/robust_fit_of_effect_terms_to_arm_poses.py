@@ -21,7 +21,7 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     JointScore,
 )
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Columns, Part
-from calib.identify.bounded_least_squares_and_robust_fit import excess_scatter, robust_weights
+from calib.identify.bounded_and_robust_least_squares_fit import excess_scatter, robust_weights
 from rig.array_and_json_types import Booleans, Floats
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 

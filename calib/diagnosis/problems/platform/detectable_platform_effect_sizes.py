@@ -21,13 +21,12 @@ from calib.diagnosis.problems.detectable_effect_sizes import (
     DetectableSize,
     NodeLook,
     detectable_size,
-    mean_square,
-    sampled_nodes,
-    smallest_of_each_place,
+    evenly_spaced_grid_nodes,
+    mean_square_displacement_matrix,
+    smallest_detectable_size_by_place,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, Reach
-from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
-from calib.diagnosis.problems.platform.scores_of_all_candidates import (
+from calib.diagnosis.problems.platform.platform_candidate_scores import (
     axis_elongation_inner_products,
     camera_mount_motion_share_by_frame,
     camera_mount_pixel_derivatives,
@@ -35,6 +34,7 @@ from calib.diagnosis.problems.platform.scores_of_all_candidates import (
     corner_displacement_normal_equations_by_frame,
     solver_and_normal_equations_of_axis_candidate,
 )
+from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from rig.array_and_json_types import Floats
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.model.arm_hands_effect_places_and_tolerances import Place
@@ -49,7 +49,7 @@ def detectable_platform_effect_sizes(problem: PlatformProblem, fit: PlatformFit)
     found = {(term.name, term.place) for term in fit.terms}
     looked = [c for c in problem.candidates if (c.name, c.place) not in found and c.reach is not Reach.SPECTRUM]
     looks = _Looks(problem, fit)
-    return smallest_of_each_place(looks.size(candidate) for candidate in looked)
+    return smallest_detectable_size_by_place(looks.size(candidate) for candidate in looked)
 
 
 class _Looks:
@@ -69,7 +69,7 @@ class _Looks:
 
     def size(self, candidate: PlatformCandidate) -> DetectableSize:
         """DetectableSize of a candidate."""
-        nodes = sampled_nodes(candidate.grid)
+        nodes = evenly_spaced_grid_nodes(candidate.grid)
         normal = self._normal(candidate, nodes)
         looks = [
             NodeLook(node, gram, float(rank), *self._moved(candidate, node), not candidate.spec.linear)
@@ -109,7 +109,7 @@ class _Looks:
             unit = "px"
         else:
             moved, unit = self.sensitivities.touched(*self.sensitivities.seen(candidate, node))[1], "px"
-        return mean_square(moved), unit
+        return mean_square_displacement_matrix(moved), unit
 
     def _dispersion(self, candidate: PlatformCandidate, node: Node) -> Dispersion:
         """Dispersion of what the fit leaves about a candidate at a node; of what is seen alone, as stated by as many

@@ -25,8 +25,8 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import Ef
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Candidate as EffectCandidate
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Candidate as EffectCandidate
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.effects.framework.parameters_covariates_and_marker_table import COUNT, QUADRATURE, Context, Linear
@@ -62,7 +62,7 @@ class PlatformCandidate(Candidate):
     @property
     def seen_alone(self) -> bool:
         """Whether it changes only what is seen, and moves nothing."""
-        return affects_images_only(self.kind)
+        return is_image_only_effect(self.kind)
 
     @property
     def reach(self) -> Reach:
@@ -95,7 +95,7 @@ class PlatformCandidate(Candidate):
 PlatformScore = Score[PlatformCandidate]
 
 
-def affects_images_only(kind: type[Effect] | Effect) -> bool:
+def is_image_only_effect(kind: type[Effect] | Effect) -> bool:
     """Whether an effect affects the images only, and moves nothing."""
     return kind.stage in ("targets", "view")
 
@@ -171,7 +171,7 @@ def platform_candidate(effect_candidate: EffectCandidate) -> PlatformCandidate:
         searched=any(p.role in SEARCHED and p.name in node for p in parameters),
         bounds=coefficient_bounds(effect_candidate),
         vector=any(column.entry is not None for column in effect_candidate.linear),
-        free_form=COUNT in node and not affects_images_only(effect_candidate.kind),
+        free_form=COUNT in node and not is_image_only_effect(effect_candidate.kind),
         spec=effect_candidate,
     )
 
@@ -355,7 +355,7 @@ def effect_parameter_directions(
     for number, effect in enumerate(k.effects):
         own = [c for c in coordinates if c.effect == number]
         if (
-            affects_images_only(effect)
+            is_image_only_effect(effect)
             and type(effect).mount is Effect.mount
             and own
             and all(c.role == "linear" for c in own)
@@ -365,12 +365,12 @@ def effect_parameter_directions(
         for c in own:
             ends = c.around(effect)
             moved, apart = [c.written(effect, end) for end in ends], ends[0] - ends[1]
-            if not affects_images_only(effect) and not effect.retimes():
+            if not is_image_only_effect(effect) and not effect.retimes():
                 high, low = (k.elongation(one, motion()) for one in moved)
             else:
-                change = k.pixels if affects_images_only(effect) else k.effective
+                change = k.pixels if is_image_only_effect(effect) else k.effective
                 high, low = (change((*k.effects[:number], one, *k.effects[number + 1 :])) for one in moved)
-            column = model.fold if affects_images_only(effect) else model.lengthened
+            column = model.fold if is_image_only_effect(effect) else model.lengthened
             parts.append(column(((high - low) / apart)[..., None]))
     return coordinates, join_columns(parts) if parts else None
 

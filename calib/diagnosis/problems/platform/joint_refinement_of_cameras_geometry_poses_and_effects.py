@@ -36,10 +36,10 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     repeated_corner_error,
     split_rows_by_frame_bases,
 )
-from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
-from calib.identify.bounded_least_squares_and_robust_fit import bounded_least_squares_step
+from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column
+from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
 from rig.array_and_json_types import Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,

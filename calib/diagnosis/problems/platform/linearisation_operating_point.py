@@ -17,10 +17,11 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.machine_motion_and_play import Motion
 from rig.errors import NotEnoughData, RigError
-from rig.model import mechanisms, motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
+from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.design import Camera, Design
 from rig.model.mechanism_geometry_classes import Hexapod
@@ -28,9 +29,9 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Parallel, requir
 from rig.model.pose import exp
 from rig.recording.recording_folder import Commands, Recording, Sensors
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
-from vision.corner_observations import Observations
-from vision.predict import MarkerMap, Sightings, State, marker_map, predict_sightings
-from vision.recording_adjustment import Measurement, has_hand_cameras
+from vision.corner_observations_and_merging import Observations
+from vision.marker_corner_prediction import MarkerMap, Sightings, State, marker_map, predict_sightings
+from vision.recording_adjustment_with_hand_and_stages import Measurement, has_hand_cameras
 from vision.recording_measurement import measure_recording
 
 KINDS = ("hexapod", "planar2", "file", "free")  # of mechanisms
@@ -161,7 +162,7 @@ class OperatingPoint(FieldSummaryRepr):
 
     def swayed(self, sway: Floats) -> Floats:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        return motion_simulation.strut_elongations_of_platform_sway(self.design, self.T, sway)
+        return motion_simulation.apparent_strut_elongations_of_sway(self.design, self.T, sway)
 
     def closures(self) -> Floats:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""

@@ -24,12 +24,12 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     remounted_cube_pose_nuisances,
     split_rows_by_frame_bases,
 )
-from calib.models.platform.closed_loop_equations import (
+from calib.models.platform.platform_identification import PRIOR
+from calib.models.platform.strut_loop_closure_equations import (
     add_length_resolution_to_loop_covariance,
     loop_covariance,
     scatter_of_redundant_struts,
 )
-from calib.models.platform.identification import PRIOR
 from rig.array_and_json_types import Booleans, Floats
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (

@@ -12,10 +12,10 @@ from calib.diagnosis.engine.linear_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
-from rig.effects.framework.effect import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.model.arm_hands_effect_places_and_tolerances import FINDER, SEAT, Place
 from rig.model.design import Design
-from vision import lens
+from vision import opencv_lens_model as lens
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
 from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
     corner_jacobians_to_poses_and_lens_by_camera,
@@ -27,7 +27,7 @@ from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     SmoothImageErrors,
     smooth_image_error_model_of_corners,
 )
-from vision.corner_observations import Observations, find_repeated_base_corners, group_sums
+from vision.corner_observations_and_merging import Observations, find_repeated_base_corners, group_sums
 
 CLIP = 5.0  # standard deviations for which a corner's residual counts at most
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings

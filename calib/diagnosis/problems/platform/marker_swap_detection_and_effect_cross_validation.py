@@ -28,7 +28,7 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
     centred_and_scaled_to_plus_minus_one,
     time_cosines,
 )
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import affects_images_only
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import is_image_only_effect
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
@@ -36,7 +36,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import camera_edge_bias_nuisances
-from calib.identify.bounded_least_squares_and_robust_fit import (
+from calib.identify.bounded_and_robust_least_squares_fit import (
     ALIKE,
     CONSISTENT,
     IN_PLACE,
@@ -48,7 +48,7 @@ from calib.identify.bounded_least_squares_and_robust_fit import (
     time_block_folds,
 )
 from rig.array_and_json_types import Booleans, Floats, Integers
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
@@ -56,8 +56,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     strut_or_axis_jacobian_by_pose,
 )
 from rig.recording.recording_folder import PAYLOAD
-from vision.corner_observations import observations_of_frames
-from vision.predict import predict_sightings
+from vision.corner_observations_and_merging import observations_of_frames
+from vision.marker_corner_prediction import predict_sightings
 
 GATE = 7.0  # times the scatter of the others, from which a frame or a marker's corners may be wild
 SLOW = 4  # cosines of time that are free
@@ -249,7 +249,9 @@ def find_marker_swaps(point: OperatingPoint, kinds: Sequence[type[Effect]]) -> l
     return out
 
 
-def correct_marker_swaps(point: OperatingPoint, marker_swaps: Sequence[Effect]) -> OperatingPoint:
+def operating_point_with_marker_swaps_corrected(
+    point: OperatingPoint, marker_swaps: Sequence[Effect]
+) -> OperatingPoint:
     """OperatingPoint with marker swaps corrected.
 
     Each marker sits where they state.
@@ -340,7 +342,7 @@ def frames_before_and_after_sudden_changes(effects: Sequence[Effect], t: Floats)
     moments = [
         getattr(e, p.name)
         for e in effects
-        if e.sudden and affects_images_only(e)
+        if e.sudden and is_image_only_effect(e)
         for p in e.parameters
         if p.role == "moment"
     ]

@@ -39,7 +39,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_shift_pixel_derivatives
-from calib.diagnosis.problems.platform.scores_of_all_candidates import (
+from calib.diagnosis.problems.platform.platform_candidate_scores import (
     axis_elongation_inner_products,
     constant_displacement_normal_equations,
     corner_displacement_normal_equations_by_frame,
@@ -48,15 +48,15 @@ from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras
     FAST,
     SLOW,
     camera_mount_and_focal_pixel_derivatives,
-    camera_time_functions,
     corner_shift_pixel_derivatives,
     image_warp_pixel_derivatives,
+    mount_and_focal_length_time_cosines,
     strut_deviation_basis_functions_by_covariate,
 )
 from rig.array_and_json_types import Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import parallel_map
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
 
@@ -157,7 +157,7 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
             test_lack_of_fit(
                 model.linear,
                 products,
-                Test(at, "px", ("time",), camera_time_functions(k, count)[:, :, part], information),
+                Test(at, "px", ("time",), mount_and_focal_length_time_cosines(k, count)[:, :, part], information),
             )
             for count in (SLOW, FAST)
             for part in _apart(k, at, count)
@@ -170,8 +170,8 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
 
 
 def _apart(k: OperatingPoint, place: Place, count: int) -> list[slice]:
-    """Which of the functions of `camera_time_functions` at a camera are tested together: a mount's motion and the focal
-    length each for itself, but all together
+    """Which of the functions of `mount_and_focal_length_time_cosines` at a camera are tested together: a mount's
+    motion and the focal length each for itself, but all together
     where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log
     does not tell it comes and goes in time."""
     known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)

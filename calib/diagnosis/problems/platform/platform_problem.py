@@ -21,6 +21,7 @@ from calib.diagnosis.engine.linear_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
 from calib.diagnosis.problems.platform import platform_lack_of_fit_excess_scatter_and_covariates as remainder
+from calib.diagnosis.problems.platform.alternative_candidate_screening import screened_alternatives
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     PlatformCandidate,
     PlatformScore,
@@ -42,8 +43,7 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
     linearise,
 )
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import cross_validate_effects
-from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column, score_candidates
-from calib.diagnosis.problems.platform.screening_of_alternatives import screened_alternatives
+from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras_and_markers import (
     model_with_smooth_functions,
     smooth_function_columns,

@@ -47,10 +47,10 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     _find_outliers,
     _without_outliers,
-    correct_marker_swaps,
     cross_validate_effect_by_regions,
     cross_validate_effects_for_each_residual_block,
     find_marker_swaps,
+    operating_point_with_marker_swaps_corrected,
 )
 from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
     closure_residuals,
@@ -70,11 +70,11 @@ from calib.diagnosis.problems.pose_noise_excess import (
     noise_factors,
     scaled_pose_covariance,
 )
-from calib.models.platform.identification import PRIOR
+from calib.models.platform.platform_identification import PRIOR
 from calib.samples.commanded_and_measured_pose_samples import Sampled
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.catalogue.effect_list import effect_of_tolerance
-from rig.effects.framework.effect import AT_REST, Effect
+from rig.effects.framework.effect_base_class import AT_REST, Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin
 from rig.model.arm_hands_effect_places_and_tolerances import PLACES
 from rig.model.design import Design
@@ -293,7 +293,13 @@ def platform_evidence(
         measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
     )
     return PlatformEvidence(
-        correct_marker_swaps(point, swapped), covariance, source, requested, stated_terms, tuple(swapped), tuple(moved)
+        operating_point_with_marker_swaps_corrected(point, swapped),
+        covariance,
+        source,
+        requested,
+        stated_terms,
+        tuple(swapped),
+        tuple(moved),
     )
 
 

@@ -18,7 +18,7 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import edge_shift_pixel_derivatives
-from calib.diagnosis.problems.platform.scores_of_all_candidates import camera_mount_pixel_derivatives
+from calib.diagnosis.problems.platform.platform_candidate_scores import camera_mount_pixel_derivatives
 from rig.array_and_json_types import Floats, Integers
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import image_warp_columns
@@ -91,7 +91,7 @@ def _camera_index(k: OperatingPoint, place: Place) -> int:
     return [c.name for c in k.design.cameras].index(place.name)
 
 
-def camera_time_functions(point: OperatingPoint, count: int) -> Floats:
+def mount_and_focal_length_time_cosines(point: OperatingPoint, count: int) -> Floats:
     """Cosines of time (F, 7, 7 count) for each parameter of a camera's mount and focal length."""
     return np.einsum("fk,ab->fabk", time_cosines(point.t, count), np.eye(7)).reshape(len(point.t), 7, -1)
 
@@ -176,7 +176,7 @@ def smooth_function_columns(
     for u in lacks_of_fit:
         at = u.place
         if at.kind in ("camera", "cameras") and u.depends_on == ("time",):
-            shapes = camera_time_functions(k, FAST)[k.observed.observations.frame]
+            shapes = mount_and_focal_length_time_cosines(k, FAST)[k.observed.observations.frame]
             pixels.append(np.einsum("nca,nak->nck", camera_mount_and_focal_pixel_derivatives(model, at), shapes))
         elif at.kind in ("camera", "cameras") and u.depends_on == ("image position",):
             pixels.append(image_warp_pixel_derivatives(k, _camera_index(k, at)))

@@ -41,10 +41,10 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     residual_change_with_only_effects,
 )
+from calib.diagnosis.problems.platform.platform_candidate_scores import axis_elongation_inner_products
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
-from calib.diagnosis.problems.platform.scores_of_all_candidates import axis_elongation_inner_products
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect import Effect
+from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import POSE
 from rig.effects.texts.effect_file_from_formula import Written
 from rig.model.arm_hands_effect_places_and_tolerances import Place

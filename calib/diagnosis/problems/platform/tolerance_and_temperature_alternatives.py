@@ -41,13 +41,13 @@ from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_model_an
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     residual_change_with_only_effects,
 )
+from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnosis.problems.platform.scores_of_all_candidates import candidate_column
 from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras_and_markers import SLOW
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import ALL
-from rig.effects.framework.effect import REFERENCE_TEMPERATURE, Effect
-from rig.effects.framework.effect import Candidate as EffectCandidate
+from rig.effects.framework.effect_base_class import REFERENCE_TEMPERATURE, Effect
+from rig.effects.framework.effect_base_class import Candidate as EffectCandidate
 from rig.model.arm_hands_effect_places_and_tolerances import AXES, STILL, Place
 from rig.recording.recording_folder import Sensors
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError, RigError
 from rig.formats import json_toml_and_yaml_loading
-from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, name_problem
+from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, Entries, rig_part_name_problem
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
 from rig.formats.importers.camera_calibrations.kalibr_multical_caliscope_ros_opencv_camera_readers import (
     PROGRAMS,
@@ -23,7 +23,7 @@ from rig.formats.importers.camera_calibrations.realsense_intrinsics import reals
 from rig.formats.importers.import_recipe import Cameras
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.numbers_and_units import parse_numbers, stated_units
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
     camera_toml,
     rig_toml_with_camera_values_replaced,
 )
@@ -142,8 +142,10 @@ def _ours(one: ForeignCamera, stated: Cameras, known: dict[str, Camera], alone: 
             f"{setting}{next(iter(known))} says which it is, "
             f"{setting}{one.name} adds it"
         )
-    if name_problem(name):
-        one.at.fail(f"camera {name_problem(name)}: --set cameras.names.{one.name}=cam0 gives it another", value=name)
+    if rig_part_name_problem(name):
+        one.at.fail(
+            f"camera {rig_part_name_problem(name)}: --set cameras.names.{one.name}=cam0 gives it another", value=name
+        )
     return name
 
 

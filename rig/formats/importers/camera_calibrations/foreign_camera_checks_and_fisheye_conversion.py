@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.array_and_json_types import Floats
 from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.local_and_remote_input_files import short_repr
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import LARGEST_IMAGE
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import LARGEST_IMAGE
 from rig.model.design import DISTORTION_TERMS
 
 ORTHOGONAL = 1e-3  # that a rotation's product with its transpose may differ from one: files have six digits at times

@@ -30,7 +30,7 @@ from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye
     require_valid_skewless_camera_matrix,
 )
 from rig.formats.importers.camera_calibrations.realsense_intrinsics import is_realsense, read_realsense
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import LARGEST_IMAGE
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import LARGEST_IMAGE
 
 KALIBR_NAME = re.compile(r"cam(\d{1,4})")
 OTHERS = {"omni": "the omnidirectional", "ds": "the double sphere", "eucm": "the extended unified"}

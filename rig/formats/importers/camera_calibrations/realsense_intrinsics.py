@@ -17,7 +17,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import FileError
 from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.importers.camera_calibrations.foreign_camera_checks_and_fisheye_conversion import ForeignCamera
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import LARGEST_IMAGE
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import LARGEST_IMAGE
 
 HEAD = re.compile(r'\s*Intrinsic of "([^"]+)"')
 LINE = re.compile(r"\s*(Width|Height|PPX|PPY|Fx|Fy|Distortion|Coeffs)\s*:\s*(.*?)\s*$")

@@ -13,14 +13,14 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.certification.configuration_space_correction_certification import ExtensionRequest
 from calib.correction.correction_field_methods_fitting_combination_and_json import field_from_entries, field_to_dict
 from calib.files import calibration_file
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import arm_pose_covariance
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import arm_pose_covariance
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
     certify_arm_correction_extension,
     claim_without_geometry,
-    joint_correction_field_samples,
+    joint_correction_summands_for_interpolation,
     nominal_arm_correction,
-    single_step_correction_errors,
+    rms_and_greatest_joint_single_step_error,
 )
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import RigError
@@ -45,7 +45,7 @@ def geared(q):
 
 def samples_at(q, true, sigma=OWN, seed=1):
     scale = np.repeat(sigma, 3)
-    T = error_model_and_observations.predicted_target_poses(q - geared(q), true) * exp(
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(q - geared(q), true) * exp(
         scale * np.random.default_rng(seed).normal(size=(len(q), 6))
     )
     return Samples(
@@ -82,15 +82,17 @@ def test_corrected_poses_are_exact_at_the_samples_and_commands_lead_there(gridde
         one.kind for one in tried if one.chosen
     ] == ["simplex"]
     assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.6 * done.held_out.before.position[0]
-    wanted = error_model_and_observations.predicted_target_poses(sobol_configurations(BOX, 20, 0.6, 3), true)
+    wanted = arm_error_model_and_instrument_observations.predicted_target_poses(
+        sobol_configurations(BOX, 20, 0.6, 3), true
+    )
     commands = done.correction.inverse(wanted)
     assert np.abs(pose_difference(done.correction.predict(commands), wanted)).max() < 1e-10
     real, bare = (
-        pose_difference(error_model_and_observations.predicted_target_poses(c - geared(c), true), wanted)
+        pose_difference(arm_error_model_and_instrument_observations.predicted_target_poses(c - geared(c), true), wanted)
         for c in (commands, done.correction.uncorrected(wanted))
     )
     assert np.linalg.norm(real[:, :3], axis=1).mean() < 0.5 * np.linalg.norm(bare[:, :3], axis=1).mean()
-    assert 0 < single_step_correction_errors(done.correction)[1] < 1e-5
+    assert 0 < rms_and_greatest_joint_single_step_error(done.correction)[1] < 1e-5
 
 
 def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
@@ -108,7 +110,7 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
     np.testing.assert_array_equal(loaded.correction.rho(inner), done.correction.rho(inner))
     error = pose_difference(
         loaded.correction.predict(inner),
-        error_model_and_observations.predicted_target_poses(inner - geared(inner), true),
+        arm_error_model_and_instrument_observations.predicted_target_poses(inner - geared(inner), true),
     )
     stated = np.sqrt(np.einsum("nii->ni", arm_pose_covariance(loaded, inner))[:, :3].sum(axis=1).mean())
     assert (
@@ -127,10 +129,11 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
     q[0, len(arm.joints) - 2] = 0.0  # two axes of the wrist in one line
     samples = samples_at(q, true)
     plain, _ = nominal_arm_correction(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
-    known = joint_correction_field_samples(samples, plain.fitted, np.zeros(0))
+    known = joint_correction_summands_for_interpolation(samples, plain.fitted, np.zeros(0))
     missed = np.abs(
         pose_difference(
-            error_model_and_observations.predicted_target_poses(q - known.values, plain.fitted), samples.T_base_platform
+            arm_error_model_and_instrument_observations.predicted_target_poses(q - known.values, plain.fitted),
+            samples.T_base_platform,
         )
     ).max(axis=1)
     assert (missed < 1e-11).mean() > 0.7 and np.abs(known.values).max() < 0.05
@@ -180,7 +183,9 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         for name in ("radial", "plain")
     }
     assert result["radial"]["after"]["position"]["rms"] < 0.2 * result["radial"]["before"]["position"]["rms"]
-    wanted = error_model_and_observations.predicted_target_poses(sobol_configurations(BOX, 40, 0.9, 3), true)
+    wanted = arm_error_model_and_instrument_observations.predicted_target_poses(
+        sobol_configurations(BOX, 40, 0.9, 3), true
+    )
     write_poses(tmp_path / "wanted.csv", Poses(np.arange(40), wanted, None))
     left = {}
     for name, more in (("radial", ()), ("bare", ("--uncorrected",)), ("single", ("--single-step",))):
@@ -188,7 +193,9 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
         c = np.genfromtxt(tmp_path / "c.csv", delimiter=",", skip_header=1)[:, 1:]
         left[name] = np.sqrt(
             (
-                pose_difference(error_model_and_observations.predicted_target_poses(c - geared(c), true), wanted)[:, :3]
+                pose_difference(
+                    arm_error_model_and_instrument_observations.predicted_target_poses(c - geared(c), true), wanted
+                )[:, :3]
                 ** 2
             )
             .sum(axis=1)
@@ -213,7 +220,8 @@ def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
     )
     claim, q = claim_without_geometry(samples, done, np.random.default_rng(0)), sobol_configurations(box, 256, 0.8, 7)
     error = pose_difference(
-        done.correction.predict(q), error_model_and_observations.predicted_target_poses(q - geared(q), true)
+        done.correction.predict(q),
+        arm_error_model_and_instrument_observations.predicted_target_poses(q - geared(q), true),
     )[:, :3]
     assert done.correction.extension.inflation > 1.5
     size = np.sqrt((error**2).sum(axis=1).mean())  # nearer the middle than most that were held out
@@ -235,7 +243,7 @@ def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
     np.testing.assert_allclose(k, x - y, atol=2e-12)
     placed = calibration_file.load(tmp_path / "c.json").correction.nominal
     missed = pose_difference(
-        error_model_and_observations.predicted_target_poses(y, placed),
+        arm_error_model_and_instrument_observations.predicted_target_poses(y, placed),
         recording_folder.load_recording(tmp_path / "rec").poses.T_base_platform,
     )
     assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2
@@ -260,7 +268,7 @@ def test_vertices_without_a_pose_are_listed_and_planned_and_corrected_nearly_as_
     off, bare = (
         pose_difference(
             one.predict(grid[lost]),
-            error_model_and_observations.predicted_target_poses(grid[lost] - geared(grid[lost]), true),
+            arm_error_model_and_instrument_observations.predicted_target_poses(grid[lost] - geared(grid[lost]), true),
         )[:, :3]
         for one in (correction, replace(correction, extension=None))
     )

@@ -13,10 +13,10 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import Pace
 from calib.files import calibration_file
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import start_arm_of_fit
-from calib.models.arm.correction import ArmCorrection
-from calib.models.arm.error_model_and_observations import observations_of_samples
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import start_arm_of_fit
+from calib.models.arm.arm_correction import ArmCorrection
+from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, Prior, fit_geometry_and_effects
 from calib.models.wanted_pose_commands import commands_along_route
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
@@ -24,9 +24,9 @@ from rig.cli.command_line import main
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model import motion_simulation
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.pose import pose_difference
-from rig.planning import plan
+from rig.planning import recording_plan as plan
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import shipped_arms_and_layouts
 from rig.recording import recording_folder
@@ -89,7 +89,9 @@ def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     design = arm_named(tmp_path, name)
     calibration = known_to_be(design, parse_effect(text), parse_effect("scale_error:joint 1:scale=1e-4"))
     m, count = design.mechanism, 8
-    T = error_model_and_observations.predicted_target_poses(sobol_configurations(m.limits, count, 0.6, 3), m)
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(
+        sobol_configurations(m.limits, count, 0.6, 3), m
+    )
     t = 60 + 40.0 * np.arange(count)
     warm = Sensors(np.array([0.0, 500.0]), {"ambient_temperature_C": np.array([20.0, 27.0])})
     done = commands_along_route(calibration, T, np.zeros(len(m.joints)), Pace(t, 0.0, 0.5, None), warm)
@@ -199,7 +201,9 @@ def drives(tmp_path, capsys, name, effects, without=(), another=False):
         tmp_path / "w.csv",
         Poses(
             np.arange(60),
-            error_model_and_observations.predicted_target_poses(sobol_configurations(ends, 60, 0.7, 17), known.fitted),
+            arm_error_model_and_instrument_observations.predicted_target_poses(
+                sobol_configurations(ends, 60, 0.7, 17), known.fitted
+            ),
             None,
         ),
     )

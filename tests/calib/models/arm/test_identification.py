@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from calib.api.plan import PlanOptions, plan
-from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
-from calib.models.arm.error_model_and_observations import Observations, pose_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
+from calib.models.arm import (
+    arm_base_and_tool_placement_in_instrument_frame,
+    arm_error_model_and_instrument_observations,
+)
+from calib.models.arm.arm_error_model_and_instrument_observations import Observations, pose_observations
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import NotEnoughData
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.base_and_link_tilt_sensors import TiltReadings, TiltSensor
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.pose import exp, log, pose, pose_difference
 from tests.calib import secret_arms as worlds
 from tests.conftest import ROOT
@@ -26,35 +29,35 @@ from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 def test_parameter_jacobian_agrees_with_differences(joints, slides, count):
     arm = random_arm(np.random.default_rng(0), joints, slides)
     q = configurations(arm, 3, np.random.default_rng(1))
-    T = error_model_and_observations.predicted_target_poses(q, arm)
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(q, arm)
     J = jacobian(
         lambda step: log(
             T.inv()
-            * error_model_and_observations.predicted_target_poses(
-                q, error_model_and_observations.arm_with_parameter_step(arm, step)
+            * arm_error_model_and_instrument_observations.predicted_target_poses(
+                q, arm_error_model_and_instrument_observations.arm_with_parameter_step(arm, step)
             )
         ),
         np.zeros(count),
     )
-    np.testing.assert_allclose(error_model_and_observations.parameter_jacobian(q, arm), J, atol=1e-8)
+    np.testing.assert_allclose(arm_error_model_and_instrument_observations.parameter_jacobian(q, arm), J, atol=1e-8)
     np.testing.assert_allclose(
-        error_model_and_observations.joint_jacobian(q, arm),
-        error_model_and_observations.parameter_jacobian(q, arm)[
-            ..., error_model_and_observations.joint_zero_indices(arm)
+        arm_error_model_and_instrument_observations.joint_jacobian(q, arm),
+        arm_error_model_and_instrument_observations.parameter_jacobian(q, arm)[
+            ..., arm_error_model_and_instrument_observations.joint_zero_indices(arm)
         ],
         atol=1e-14,
     )
     assert (
-        len(error_model_and_observations.parameter_names(arm))
-        == len(error_model_and_observations.parameter_units(arm))
+        len(arm_error_model_and_instrument_observations.parameter_names(arm))
+        == len(arm_error_model_and_instrument_observations.parameter_units(arm))
         == count
     )
 
 
 def test_parameters_are_named_joint_by_joint():
     arm = random_arm(np.random.default_rng(0), 7)
-    assert np.array_equal(error_model_and_observations.joint_zero_indices(arm), np.arange(6, 41, 5))
-    assert error_model_and_observations.parameter_names(arm)[6:12] == (
+    assert np.array_equal(arm_error_model_and_instrument_observations.joint_zero_indices(arm), np.arange(6, 41, 5))
+    assert arm_error_model_and_instrument_observations.parameter_names(arm)[6:12] == (
         "theta 1",
         "d 1",
         "a 1",
@@ -70,7 +73,8 @@ def test_rows_of_other_instruments_agree_with_differences(make):
     arm = worlds.secret(UR10, rng)
     seen = make(arm, UR10, 4, rng)
     predicted = -jacobian(
-        lambda step: seen.residuals(error_model_and_observations.arm_with_parameter_step(arm, step)), np.zeros(42)
+        lambda step: seen.residuals(arm_error_model_and_instrument_observations.arm_with_parameter_step(arm, step)),
+        np.zeros(42),
     )
     np.testing.assert_allclose(seen.jacobian(arm), predicted, atol=1e-8)
 
@@ -108,12 +112,12 @@ def test_identification_of_near_parallel_axes_is_as_good_as_it_says(nominal):
         )
         assert not found.scatter.any() and found.inliers.all() and found.rank.free.sum() == 4 * len(nominal.joints) + 6
         q = configurations(nominal, 40, rng, 0.5)
-        J = error_model_and_observations.parameter_jacobian(q, found.arm)
+        J = arm_error_model_and_instrument_observations.parameter_jacobian(q, found.arm)
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
         scores.append(
             pose_difference(
-                error_model_and_observations.predicted_target_poses(q, found.arm),
-                error_model_and_observations.predicted_target_poses(q, true),
+                arm_error_model_and_instrument_observations.predicted_target_poses(q, found.arm),
+                arm_error_model_and_instrument_observations.predicted_target_poses(q, true),
             )
             / sigma
         )
@@ -142,14 +146,14 @@ def test_positions_and_distances_suffice_too():
     rng = np.random.default_rng(6)
     true = worlds.secret(UR10, rng)
     q = configurations(UR10, 60, rng, 0.5)
-    want = error_model_and_observations.predicted_target_poses(q, true).translation
+    want = arm_error_model_and_instrument_observations.predicted_target_poses(q, true).translation
     seen = worlds.touched(true, UR10, 120, rng)
     found = identify_arm(
         seen, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(seen, UR10, True, True)
     )
     assert (
         np.linalg.norm(
-            error_model_and_observations.predicted_target_poses(q, found.arm).translation - want, axis=1
+            arm_error_model_and_instrument_observations.predicted_target_poses(q, found.arm).translation - want, axis=1
         ).max()
         < 1e-4
     )
@@ -160,7 +164,9 @@ def test_positions_and_distances_suffice_too():
     found = identify_arm(wire, start)
     assert (
         np.abs(
-            np.linalg.norm(error_model_and_observations.predicted_target_poses(q, found.arm).translation, axis=1)
+            np.linalg.norm(
+                arm_error_model_and_instrument_observations.predicted_target_poses(q, found.arm).translation, axis=1
+            )
             - np.linalg.norm(want, axis=1)
         ).max()
         < 2e-4
@@ -203,7 +209,8 @@ def test_a_joint_that_never_moved_is_reported():
     still = replace(
         seen,
         q=q,
-        value=error_model_and_observations.predicted_target_poses(q, true) * exp(2e-5 * rng.normal(size=(60, 6))),
+        value=arm_error_model_and_instrument_observations.predicted_target_poses(q, true)
+        * exp(2e-5 * rng.normal(size=(60, 6))),
     )
     found = identify_arm(
         still, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(still, UR10, True, True)
@@ -249,11 +256,11 @@ def test_a_plan_with_tilt_sensors_states_what_a_fit_then_finds():
     down = np.tile(gravity / 9.81, (30, 1))
     angles = np.stack([sensor.shown(links[:, sensor.link], down) for sensor in sensors], axis=1)
     noise = np.repeat([at, turn], 3)
-    seen = error_model_and_observations.predicted_target_poses(q, UR10)
+    seen = arm_error_model_and_instrument_observations.predicted_target_poses(q, UR10)
     observed = Observations("pose", q, seen, np.tile(np.diag(noise**2), (30, 1, 1)), np.zeros((30, 6, 0)))
     found = identify_arm(replace(observed, tilts=TiltReadings(sensors, angles, down)), UR10)
     without = identify_arm(observed, UR10)
-    names = error_model_and_observations.parameter_names(UR10)
+    names = arm_error_model_and_instrument_observations.parameter_names(UR10)
     stated = {
         line.split("urad  ")[1]: float(line.split()[0]) * 1e-6 for line in planned.visibility_lines if "urad  " in line
     }

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.models.arm import error_model_and_observations
+from calib.models.arm import arm_error_model_and_instrument_observations
 from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
-from calib.models.arm.error_model_and_observations import Observations, observations_of_samples, position_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm
+from calib.models.arm.arm_error_model_and_instrument_observations import (
+    Observations,
+    observations_of_samples,
+    position_observations,
+)
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
@@ -48,7 +52,7 @@ def case(seed: int) -> tuple[Arm, Arm, np.ndarray, Observations, np.ndarray]:
     true = replace(true, joints=rows, base=base, tool=tool)
     draw = level if stays else lambda n, r: configurations(nominal, n, r, 0.5)
     q, fresh = draw(count, rng), draw(60, rng)
-    T = error_model_and_observations.predicted_target_poses(q, true) * exp(
+    T = arm_error_model_and_instrument_observations.predicted_target_poses(q, true) * exp(
         np.repeat(SIGMA, 3) * rng.normal(size=(count, 6))
     )
     wild = rng.choice(count, count // 50, replace=False)
@@ -73,8 +77,8 @@ def missed(seed: int) -> float:
     found = identify_arm(seen, place_base_and_tool_of_arm(seen, nominal, True, True))
     return float(
         np.linalg.norm(
-            error_model_and_observations.predicted_target_poses(fresh, found.arm).translation
-            - error_model_and_observations.predicted_target_poses(fresh, true).translation,
+            arm_error_model_and_instrument_observations.predicted_target_poses(fresh, found.arm).translation
+            - arm_error_model_and_instrument_observations.predicted_target_poses(fresh, true).translation,
             axis=1,
         ).max()
     )
@@ -93,7 +97,7 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
             worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
         )
         q = level(120, rng).round(7)  # as files hold them: level up to rounding
-        T = error_model_and_observations.predicted_target_poses(q, true) * exp(
+        T = arm_error_model_and_instrument_observations.predicted_target_poses(q, true) * exp(
             np.repeat(SIGMA, 3) * rng.normal(size=(120, 6))
         )
         covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
@@ -132,7 +136,7 @@ def test_places_that_the_poses_do_not_tell_apart_are_no_answer():
     q[:, 0] = np.linspace(-1, 1, 40)
     seen = position_observations(
         q,
-        error_model_and_observations.predicted_target_poses(
+        arm_error_model_and_instrument_observations.predicted_target_poses(
             q, replace(UR10, base=worlds.BASE, tool=worlds.TOOL)
         ).translation,
         1e-5,

@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
-from calib.models.arm.error_model_and_observations import orientation_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
+from calib.models.arm import (
+    arm_base_and_tool_placement_in_instrument_frame,
+    arm_error_model_and_instrument_observations,
+)
+from calib.models.arm.arm_error_model_and_instrument_observations import orientation_observations
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.samples.commanded_and_measured_pose_samples import Samples, sample_recording
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design
@@ -32,7 +35,9 @@ def leaning(true, nominal, count, rng, noisy=1.0):
     noise = np.concatenate(
         [np.full((count, 3), 7.0), noisy * SIGMA * rng.normal(size=(count, 3))], axis=1
     )  # positions are rubbish
-    return orientation_observations(q, error_model_and_observations.predicted_target_poses(q, true) * exp(noise), SIGMA)
+    return orientation_observations(
+        q, arm_error_model_and_instrument_observations.predicted_target_poses(q, true) * exp(noise), SIGMA
+    )
 
 
 def test_rows_of_orientations_agree_with_differences():
@@ -40,7 +45,8 @@ def test_rows_of_orientations_agree_with_differences():
     arm = worlds.secret(UR10, rng)
     seen = leaning(arm, UR10, 4, rng, noisy=0.0)
     predicted = -jacobian(
-        lambda step: seen.residuals(error_model_and_observations.arm_with_parameter_step(arm, step)), np.zeros(42)
+        lambda step: seen.residuals(arm_error_model_and_instrument_observations.arm_with_parameter_step(arm, step)),
+        np.zeros(42),
     )
     np.testing.assert_allclose(seen.jacobian(arm), predicted, atol=1e-7)
 
@@ -66,12 +72,12 @@ def test_orientations_tell_the_rotational_parameters_as_well_as_they_say(nominal
         )
         np.testing.assert_array_equal(found.arm.rows[:, 1:3], nominal.rows[:, 1:3])
         q = configurations(nominal, 40, rng, 0.5)
-        J = error_model_and_observations.parameter_jacobian(q, found.arm)[:, 3:]
+        J = arm_error_model_and_instrument_observations.parameter_jacobian(q, found.arm)[:, 3:]
         sigma = np.sqrt(np.einsum("mki,ij,mkj->mk", J, found.covariance, J))
         scores.append(
             pose_difference(
-                error_model_and_observations.predicted_target_poses(q, found.arm),
-                error_model_and_observations.predicted_target_poses(q, true),
+                arm_error_model_and_instrument_observations.predicted_target_poses(q, found.arm),
+                arm_error_model_and_instrument_observations.predicted_target_poses(q, true),
             )[:, 3:]
             / sigma
         )
@@ -83,7 +89,10 @@ def test_a_hand_that_turns_about_one_axis_alone_is_not_placed_by_its_rotations()
     seen = leaning(worlds.secret(SCARA, rng), SCARA, 40, rng)
     with pytest.raises(RigError, match="family of poses"):
         arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
-            replace(seen, value=error_model_and_observations.predicted_target_poses(seen.q, SCARA)), SCARA, True, True
+            replace(seen, value=arm_error_model_and_instrument_observations.predicted_target_poses(seen.q, SCARA)),
+            SCARA,
+            True,
+            True,
         )
     one = arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(
         seen, replace(SCARA, tool=worlds.TOOL), True, False
@@ -100,14 +109,18 @@ def test_a_wires_lengths_place_its_anchor_and_its_end_on_the_hand(nominal, base,
         true = worlds.secret(nominal, rng)
         start = nominal if base else replace(nominal, base=worlds.BASE)
         q = worlds.configurations_of(nominal, 200, rng)
-        lengths = np.linalg.norm(error_model_and_observations.predicted_target_poses(q, true).translation, axis=1)
-        wire = error_model_and_observations.distance_observations(q, lengths + 2e-5 * rng.normal(size=200), 2e-5)
+        lengths = np.linalg.norm(
+            arm_error_model_and_instrument_observations.predicted_target_poses(q, true).translation, axis=1
+        )
+        wire = arm_error_model_and_instrument_observations.distance_observations(
+            q, lengths + 2e-5 * rng.normal(size=200), 2e-5
+        )
         found = identify_arm(
             wire, arm_base_and_tool_placement_in_instrument_frame.place_base_and_tool_of_arm(wire, start, base, tool)
         )
         assert found.rank.free.sum() == 4 * len(nominal.joints)
         q = configurations(nominal, 40, rng, 0.5)
-        new = error_model_and_observations.distance_observations(q, np.zeros(40), 2e-5)
+        new = arm_error_model_and_instrument_observations.distance_observations(q, np.zeros(40), 2e-5)
         J = new.jacobian(found.arm)[:, 0]
         sigma = np.sqrt(np.einsum("mi,ij,mj->m", J, found.covariance, J))
         scores.append((new.residuals(found.arm) - new.residuals(true))[:, 0] / sigma)
@@ -116,7 +129,7 @@ def test_a_wires_lengths_place_its_anchor_and_its_end_on_the_hand(nominal, base,
 
 def test_lengths_of_another_arm_place_nothing():
     rng = np.random.default_rng(4)
-    wire = error_model_and_observations.distance_observations(
+    wire = arm_error_model_and_instrument_observations.distance_observations(
         worlds.configurations_of(UR10, 60, rng), rng.uniform(0.5, 2.0, 60), 2e-5
     )
     with pytest.raises(RigError, match="the wire's lengths still miss by .* mm"):

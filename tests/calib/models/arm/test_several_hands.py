@@ -10,10 +10,10 @@ import calib
 import rig
 import synthetic
 from calib.certification.calibration_evidence_verdict_and_claim_check import verify_claim_on_samples
-from calib.certification.held_out_errors import pose_errors, predicted_poses
-from calib.models.arm import error_model_and_observations as model
+from calib.certification.held_out_pose_error_statistics import pose_errors, predicted_poses
+from calib.models.arm import arm_error_model_and_instrument_observations as model
 from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import NotEnoughData
 from rig.model.arm_hands_effect_places_and_tolerances import Branch, Hand
 from rig.model.mechanism_geometry_classes import Arm

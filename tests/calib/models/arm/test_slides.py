@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import arm_base_and_tool_placement_in_instrument_frame, error_model_and_observations
-from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.error_model_and_observations import pose_observations
-from calib.models.arm.identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
+from calib.models.arm import (
+    arm_base_and_tool_placement_in_instrument_frame,
+    arm_error_model_and_instrument_observations,
+)
+from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_error_model_and_instrument_observations import pose_observations
+from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import Unreachable
 from rig.model.pose import exp, log
 from tests.calib import secret_arms as worlds
@@ -40,7 +43,7 @@ def test_counts_of_independent_parameters(arm, kind, extra):
     """4 R + 2 P + 6 of whole poses; the rank of the model says of joints that turn what the rules say."""
     slides = arm.slides.sum()
     assert (
-        error_model_and_observations.generally_independent_parameters(arm, kind).sum()
+        arm_error_model_and_instrument_observations.generally_independent_parameters(arm, kind).sum()
         == independent_arm_parameter_mask(arm, kind).sum()
         == 4 * (len(arm.slides) - slides) + 2 * slides + extra
     )
@@ -75,8 +78,8 @@ def test_an_unknown_place_is_found(name):
     assert (
         np.abs(
             log(
-                error_model_and_observations.predicted_target_poses(q, true).inv()
-                * error_model_and_observations.predicted_target_poses(q, found.arm)
+                arm_error_model_and_instrument_observations.predicted_target_poses(q, true).inv()
+                * arm_error_model_and_instrument_observations.predicted_target_poses(q, found.arm)
             )
         ).max()
         < 3e-4
@@ -92,7 +95,9 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     tilt = np.zeros((20, 6))
     tilt[:, 3:5] = 1e-3 * rng.normal(size=(20, 2))
     tool = found.arm.tool.rotation.as_matrix()
-    wanted = error_model_and_observations.predicted_target_poses(configurations(SCARA, 20, rng, 0.4), true)
+    wanted = arm_error_model_and_instrument_observations.predicted_target_poses(
+        configurations(SCARA, 20, rng, 0.4), true
+    )
     wanted = wanted * exp(
         np.concatenate([tilt[:, :3], tilt[:, 3:] @ tool], axis=1)
     )  # about axes across the hand's own, which nothing turns about
@@ -100,14 +105,16 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     rest = correction.rest(wanted, commands)
     assert np.abs(rest[:, :3]).max() < 1e-10
     np.testing.assert_allclose(np.linalg.norm(rest[:, 3:], axis=1), np.linalg.norm(tilt, axis=1), atol=1.5e-4)
-    reached = error_model_and_observations.predicted_target_poses(commands, true)
+    reached = arm_error_model_and_instrument_observations.predicted_target_poses(commands, true)
     assert (
         np.linalg.norm((reached.translation - wanted.translation), axis=1).max() < 5e-5
     )  # 20 um of the tracker, 80 poses
     plain = correction.uncorrected(wanted)
     assert (
         np.linalg.norm(
-            error_model_and_observations.predicted_target_poses(plain, true).translation - wanted.translation, axis=1
+            arm_error_model_and_instrument_observations.predicted_target_poses(plain, true).translation
+            - wanted.translation,
+            axis=1,
         ).max()
         > 1e-4
     )

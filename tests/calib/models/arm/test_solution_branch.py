@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.models.arm import error_model_and_observations
-from calib.models.arm.certification import calibrate_arm
-from calib.models.arm.correction import ArmCorrection
+from calib.models.arm import arm_error_model_and_instrument_observations
+from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_correction import ArmCorrection
 from rig.errors import Unreachable
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms.closed_form_and_numerical_arm_inverse import closed_form_inverse, closed_form_of_six_joint_arm
 from rig.model.pose import pose, pose_difference
 from tests.calib import secret_arms as worlds
@@ -27,7 +27,7 @@ def drawn(arm, seed, count=30, deviation=None):
     samples = worlds.tracked(true, arm, count, rng, deviation=deviation)
     q = worlds.configurations_of(arm, 200, rng)
     bent = (np.abs(np.sin(q[:, 2])) > 0.2) & (np.abs(np.sin(q[:, 4])) > 0.2)
-    return samples, error_model_and_observations.predicted_target_poses(q[bent][:80], true)
+    return samples, arm_error_model_and_instrument_observations.predicted_target_poses(q[bent][:80], true)
 
 
 @pytest.mark.parametrize(

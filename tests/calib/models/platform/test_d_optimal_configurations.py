@@ -9,7 +9,6 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
     PLAUSIBLE,
     parameter_combinations_and_visibility,
 )
-from calib.models.platform.identification import identify_platform
 from calib.models.platform.optimal_calibration_poses import (
     CANDIDATES,
     CRITERIA,
@@ -17,6 +16,7 @@ from calib.models.platform.optimal_calibration_poses import (
     choose_d_optimal_configurations,
     solvable_commands_and_whitened_jacobians,
 )
+from calib.models.platform.platform_identification import identify_platform
 from rig.errors import RigError
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from calib.correction.correction import Correction, identify_geometry
-from calib.models.platform.identification import identify_platform
+from calib.correction.machine_correction import Correction, identify_geometry
+from calib.models.platform.platform_identification import identify_platform
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.checks.unit_and_convention_mistakes import command_unit_mistakes
 from rig.errors import RigError
@@ -19,7 +19,7 @@ from rig.model.mechanisms import hexapod, redundant_strut_best_six_legs_and_loop
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.model.pose import pose_to_vector
 from rig.planning.configuration_generators import evenly_spread_configurations
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording.recording_folder import Commands
 from tests.calib import sprung_platforms
 from tests.cli import run

@@ -7,7 +7,7 @@ from calib.models.platform.determined_parameters_and_stated_geometry_tolerance i
     parameter_changes_by_base_and_platform_frame_motion,
     parameter_combinations_and_visibility,
 )
-from calib.models.platform.identification import identify_platform, pose_parameter_jacobian
+from calib.models.platform.platform_identification import identify_platform, pose_parameter_jacobian
 from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     geometric_parameters,

@@ -7,7 +7,7 @@ import pytest
 
 from calib.correction import simultaneous_camera_and_geometry_fit
 from calib.correction.simultaneous_camera_and_geometry_fit import refine_correction_with_cameras
-from calib.models.platform.identification import identify_platform
+from calib.models.platform.platform_identification import identify_platform
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.errors import RigError
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters
@@ -69,7 +69,7 @@ def test_moving_cameras_and_missing_base_targets_are_refused(solved):
 def test_a_calibration_is_refined_or_the_reason_said(solved, design):
     from dataclasses import replace
 
-    from calib.correction.correction import fit_geometry_and_remainder_of_correction
+    from calib.correction.machine_correction import fit_geometry_and_remainder_of_correction
 
     _, read, sampled, found, _ = solved
     correction, two = fit_geometry_and_remainder_of_correction(sampled.samples, read.design.mechanism)

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.model.design import Camera
 from rig.model.pose import pose
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.model.design import Camera, CaptureSettings
 from rig.model.pose import pose
 

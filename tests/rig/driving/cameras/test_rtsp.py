@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from tests.rig.driving.cameras.test_cameras import camera
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig.driving.cameras import CameraError, open_camera
-from rig.driving.clock import SystemClock
+from rig.driving.driving_clock import SystemClock
 from rig.errors import FileError
 from tests.rig.driving.cameras.test_cameras import camera
 from tests.rig.simulated_clock import SIZE, Ticking

@@ -6,8 +6,11 @@ import pytest
 
 from rig.cli.command_line import main
 from rig.driving.cameras import open_camera
-from rig.driving.clock import SystemClock
-from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
+from rig.driving.driving_clock import SystemClock
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import (
+    check_protocol_conformance,
+    protocol_conformance_design,
+)
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import open_sensors_of_rig_toml
 from rig.model.design import SensorPort
 from tests.conftest import ROOT
@@ -44,12 +47,12 @@ UNSAFE = {  # what stands in place of what, which check fails
 
 @pytest.fixture(scope="module")
 def hexapod():
-    return conformance_design(None)
+    return protocol_conformance_design(None)
 
 
 @pytest.mark.parametrize("protocol", [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG)) for p in EVERY_PROTOCOL])
 def test_every_protocol_passes(hexapod, protocol):
-    checks = list(check_conformance(hexapod, protocol, 100))
+    checks = list(check_protocol_conformance(hexapod, protocol, 100))
     assert len(checks) == 28 and [(check.name, check.problem) for check in checks if check.problem] == []
 
 
@@ -62,7 +65,7 @@ def test_an_unsafe_protocol_fails_where_it_is_unsafe(tmp_path, hexapod, name):
         path = tmp_path / "mine.py"
         path.write_text(path.read_text().replace("Segment, State", "Segment, State, Verdict"))
     tried = {}
-    for found in check_conformance(hexapod, stated, 100):
+    for found in check_protocol_conformance(hexapod, stated, 100):
         tried[found.name.partition(":")[0]] = found.problem
         if check in tried:
             break

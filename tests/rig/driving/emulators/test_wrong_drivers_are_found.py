@@ -5,7 +5,10 @@ import re
 import pytest
 
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
-from rig.driving.emulators.protocol_conformance_checks_against_emulator import check_conformance, conformance_design
+from rig.driving.emulators.protocol_conformance_checks_against_emulator import (
+    check_protocol_conformance,
+    protocol_conformance_design,
+)
 from rig.errors import PositionLost
 from tests.rig.driving.protocols.test_user_protocol import TEMPLATE
 
@@ -53,7 +56,7 @@ def edited(folder, edits):
 def checked(folder, edits, last):
     """{check: ConformanceCheck} of the example with these edits, up to the check `last`."""
     checks = {}
-    for check in check_conformance(conformance_design(None), edited(folder, edits), 1):
+    for check in check_protocol_conformance(protocol_conformance_design(None), edited(folder, edits), 1):
         checks[check.name] = check
         if check.name == last:
             break
@@ -78,12 +81,12 @@ def test_what_shows_a_restart_is_named(tmp_path):
 
 
 def test_positions_of_both_signs_are_tried():
-    zero = conformance_design(None).driver().zero
+    zero = protocol_conformance_design(None).driver().zero
     assert len(set(zero)) == len(zero)
 
 
 def test_a_restart_during_a_move_to_where_counters_begin_is_no_arrival(tmp_path):
-    design = conformance_design(None)
+    design = protocol_conformance_design(None)
     driver, emulator, clock = emulated_driver_with_emulator_and_clock(design, edited(tmp_path, [CONSTANT_IDENTITY]))
     driver.open()
     driver.home()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.protocols.gcs import GCS
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link

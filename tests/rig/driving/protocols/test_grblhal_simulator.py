@@ -17,7 +17,7 @@ import pytest
 from rig.driving.run_journal import Arrival, Departure, Ended, read_journal_rows_and_valid_length
 from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_plan
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from tests.cli import RIG, run
 
 SIMULATOR = "GRBLHAL_PLAIN_SIMULATOR"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.protocols.linuxcnc import LinuxCNC
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link

@@ -13,17 +13,21 @@ import numpy as np
 import pytest
 
 from rig.driving.axis_driver import Driver
-from rig.driving.clock import SimulatedClock, SystemClock
+from rig.driving.driving_clock import SimulatedClock, SystemClock
 from rig.driving.protocols.native_strut_protocol import Struts
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.driving.request_and_answer_exchange_with_controller import Link
-from rig.driving.serial_and_epics_ports_and_checksummed_frames import SerialPort, encode_frame, last_valid_frame_in_line
+from rig.driving.serial_and_epics_ports_and_checksummed_frames import (
+    SerialPort,
+    encode_numbered_frame,
+    last_valid_frame_in_line,
+)
 from rig.errors import ControllerFault, NoAnswer, PositionLost
 from tests.conftest import ROOT
 from tests.rig.scripted_wire import ScriptedPort
 
 HELLO = [
-    (b">1 HELLO*7DF0\n", encode_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")),
+    (b">1 HELLO*7DF0\n", encode_numbered_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=128 pc")),
     (b">2 WATCH 1000*3DAA\n", b"<2 OK*27DA\n"),
 ]
 STATE = "OK idle 1 0EA93B36 - 0 1000000 2000000 3000000 4000000 -5000000"
@@ -57,48 +61,54 @@ def test_the_document_s_conversation_is_what_is_sent():
 
 
 def test_state_and_fence():
-    state = talk([(encode_frame(">", 3, "STATE"), encode_frame("<", 3, STATE))], lambda p: p.state())
+    state = talk([(encode_numbered_frame(">", 3, "STATE"), encode_numbered_frame("<", 3, STATE))], lambda p: p.state())
     np.testing.assert_allclose(state.positions, [0, 1e-3, 2e-3, 3e-3, 4e-3, -5e-3], atol=1e-15)
     assert state.homed and state.fault == ""
     other = STATE.replace("0EA93B36", "0EA93B37")
-    assert talk([(encode_frame(">", 3, "STATE"), encode_frame("<", 3, other))], lambda p: p.fence()) is False
+    assert (
+        talk([(encode_numbered_frame(">", 3, "STATE"), encode_numbered_frame("<", 3, other))], lambda p: p.fence())
+        is False
+    )
 
 
 @pytest.mark.parametrize(
     "answer",
     [
         b"",
-        encode_frame("<", 2, STATE),
-        encode_frame("<", 3, STATE)[:-9],
-        encode_frame("<", 3, STATE).replace(b"1000000", b"1000001"),
+        encode_numbered_frame("<", 2, STATE),
+        encode_numbered_frame("<", 3, STATE)[:-9],
+        encode_numbered_frame("<", 3, STATE).replace(b"1000000", b"1000001"),
         b"<- NAK*8B54\n",
         b"\xff" * 5000,
     ],
 )
 def test_an_answer_that_is_late_cut_altered_or_none_is_asked_for_again_under_a_new_number(answer):
-    good = (encode_frame(">", 4, "STATE"), encode_frame("<", 3, STATE) + b"rubbish" + encode_frame("<", 4, STATE))
-    assert talk([(encode_frame(">", 3, "STATE"), answer), good], lambda p: p.state()).activity == "idle"
+    good = (
+        encode_numbered_frame(">", 4, "STATE"),
+        encode_numbered_frame("<", 3, STATE) + b"rubbish" + encode_numbered_frame("<", 4, STATE),
+    )
+    assert talk([(encode_numbered_frame(">", 3, "STATE"), answer), good], lambda p: p.state()).activity == "idle"
 
 
 def test_a_silent_controller_is_named():
     with pytest.raises(NoAnswer, match="asked 4 times"):
-        talk([(encode_frame(">", n, "STATE"), b"") for n in range(3, 7)], lambda p: p.state())
+        talk([(encode_numbered_frame(">", n, "STATE"), b"") for n in range(3, 7)], lambda p: p.state())
 
 
 def test_a_move_is_sent_once_and_a_broken_arrival_is_no_verdict():
     segment = Segment(
         np.zeros(6), np.full(6, 1e-3), 0.1, np.full(6, 0.01), np.full(6, 0.01)
     )  # too short for full speed: a triangle
-    sent = encode_frame(">", 3, "MOVE 0EA93B36 317 317" + " 1000000" * 6)
-    assert talk([(sent, encode_frame("<", None, "NAK"))], lambda p: p.move(segment)).accepted is None
-    refused = talk([(sent, encode_frame("<", 3, "ERR 6"))], lambda p: p.move(segment))
+    sent = encode_numbered_frame(">", 3, "MOVE 0EA93B36 317 317" + " 1000000" * 6)
+    assert talk([(sent, encode_numbered_frame("<", None, "NAK"))], lambda p: p.move(segment)).accepted is None
+    refused = talk([(sent, encode_numbered_frame("<", 3, "ERR 6"))], lambda p: p.move(segment))
     assert refused.accepted is False and "started anew" in refused.reason
 
 
 def test_a_controller_whose_lines_are_too_short_is_sent_no_move():
     clock, protocol = SimulatedClock(), Struts(6, 1.0)
     port = ScriptedPort(
-        [(HELLO[0][0], encode_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=64 pc")), HELLO[1]], clock
+        [(HELLO[0][0], encode_numbered_frame("<", 1, "OK struts/1 axes=6 boot=0EA93B36 line=64 pc")), HELLO[1]], clock
     )
     link = Link(protocol, lambda: port, clock)
     link.connect(0)
@@ -197,7 +207,7 @@ def test_the_reference_firmware_stops_when_the_host_falls_silent(driven):
 
 def test_the_reference_firmware_carries_a_repeated_frame_out_once(terminal):
     port = SerialPort(terminal, 115200, clock := SystemClock())
-    for frame in (encode_frame(">", 1, "HELLO"), *[encode_frame(">", 2, "HOME")] * 2):
+    for frame in (encode_numbered_frame(">", 1, "HELLO"), *[encode_numbered_frame(">", 2, "HOME")] * 2):
         port.write(frame)
     text = b""
     while text.count(b"<2 OK") < 2:

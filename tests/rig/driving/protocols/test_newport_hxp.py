@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.driving.clock import SimulatedClock
+from rig.driving.driving_clock import SimulatedClock
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
+from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import (
+    poses_of_xyz_mm_uvw_degrees,
+    xyz_mm_uvw_degrees_of_poses,
+)
 from rig.driving.protocols.newport_hxp import HXP
-from rig.driving.protocols.poses_of_hexapod_controllers import poses_of_xyz_mm_uvw_degrees, xyz_mm_uvw_degrees_of_poses
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import Segment
 from rig.errors import ControllerFault
 from rig.model.mechanisms import hexapod

@@ -10,7 +10,7 @@ from rig.driving.protocols.protocol_selection_and_user_protocols import protocol
 from rig.errors import ControllerFault, FileError, PositionLost, Unreachable
 from tests.conftest import ROOT
 
-TEMPLATE = (ROOT / "rig" / "driving" / "example_protocol_with_emulator.py").read_text()
+TEMPLATE = (ROOT / "rig" / "driving" / "example_user_protocol_with_emulator.py").read_text()
 LACKS = [  # what stands in place of what, what is said of it
     ("import numpy as np", "import numpy as np oh", r"mine.py:3:\d+: is no Python"),
     ("import numpy as np", "import nothing_of_the_kind", "mine.py:3: cannot be run: ModuleNotFoundError"),

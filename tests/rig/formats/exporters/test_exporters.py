@@ -12,16 +12,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import RigError
-from rig.formats.exporters import (
-    geometry_compensation_and_camera_file_exports,
-    urdf_and_sdf_export_of_arms_and_hexapods,
-)
-from rig.model import motion_simulation
+from rig.formats.exporters import json_csv_linuxcnc_and_camera_file_exports, urdf_and_sdf_export_of_arms_and_hexapods
+from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.design import Arm, Hexapod
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_difference
-from rig.planning import configuration_generators, plan
+from rig.planning import configuration_generators
+from rig.planning import recording_plan as plan
 from synthetic import random_true_machine_and_truth_file
 from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings
@@ -36,14 +34,11 @@ def true(design):
 def test_genhexkins_goes_where_we_go(true, units, scale):
     m = true.mechanism
     commands = configuration_generators.sobol_configurations(m.strut_range, 60, 0.9)
-    found = forward(
-        geometry_compensation_and_camera_file_exports.genhexkins_settings(m, units), commands, m.home, scale
-    )
+    found = forward(json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(m, units), commands, m.home, scale)
     error = pose_difference(hexapod.forward(commands, m), found)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9 and np.abs(error[:, 3:]).max() < 1e-8
     assert (
-        settings(geometry_compensation_and_camera_file_exports.genhexkins_settings(m, units))["genhexkins.screw-lead"]
-        == 0
+        settings(json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(m, units))["genhexkins.screw-lead"] == 0
     )
 
 
@@ -61,27 +56,27 @@ def test_genhexkins_screws_couple_as_ours_do(true, gain):
     )
     plain = motion_simulation.simulate_machine_run(true, steps.commands, steps.t)
     assert np.linalg.norm(pose_difference(plain.T_base_platform, run.T_base_platform)[:, :3], axis=1).max() > 5e-6
-    text = geometry_compensation_and_camera_file_exports.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
+    text = json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(m, "mm", true.actuator.screw_lead, gain)
     error = pose_difference(run.T_base_platform, forward(text, steps.commands.at(steps.t), m.home, 1e3))
     assert np.linalg.norm(error[:, :3], axis=1).max() < 1e-9
 
 
 def test_genhexkins_refuses_what_it_cannot_hold(true):
     with pytest.raises(RigError, match="lead, m per revolution"):
-        geometry_compensation_and_camera_file_exports.genhexkins_settings(true.mechanism, screw_coupling=0.5)
+        json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(true.mechanism, screw_coupling=0.5)
     with pytest.raises(ValueError, match="mm or m"):
-        geometry_compensation_and_camera_file_exports.genhexkins_settings(true.mechanism, "inch")
+        json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(true.mechanism, "inch")
     turned = replace(
         true.mechanism,
         platform_joints=Rotation.from_rotvec([0, 0, 1.2]).apply(np.array(true.mechanism.platform_joints)),
     )
     with pytest.raises(RigError, match="degrees to each other"):
-        geometry_compensation_and_camera_file_exports.genhexkins_settings(turned, screw_lead=0.004, screw_coupling=1.0)
+        json_csv_linuxcnc_and_camera_file_exports.genhexkins_settings(turned, screw_lead=0.004, screw_coupling=1.0)
 
 
 def test_sheets_hold_every_bit_of_a_hexapod(true):
     m = true.mechanism
-    tree = json.loads(geometry_compensation_and_camera_file_exports.geometry_json(m))
+    tree = json.loads(json_csv_linuxcnc_and_camera_file_exports.geometry_json(m))
     rebuilt = Hexapod(
         tree["base_joints"],
         tree["platform_joints"],
@@ -96,7 +91,7 @@ def test_sheets_hold_every_bit_of_a_hexapod(true):
     rows = np.array(
         [
             [float(cell) for cell in row]
-            for row in list(csv.reader(io.StringIO(geometry_compensation_and_camera_file_exports.geometry_csv(m))))[1:]
+            for row in list(csv.reader(io.StringIO(json_csv_linuxcnc_and_camera_file_exports.geometry_csv(m))))[1:]
         ]
     )
     from_rows = Hexapod(rows[:, 1:4], rows[:, 4:7], rows[:, 8:10], m.home, rows[:, 7])
@@ -164,6 +159,6 @@ def driven(text, angles):
 
 def test_arms_have_sheets_too():
     arm = Arm(ARMS["six joints"], [[-3, 3]] * 6)
-    assert json.loads(geometry_compensation_and_camera_file_exports.geometry_json(arm))["joints"] == arm.joints.tolist()
-    rows = list(csv.reader(io.StringIO(geometry_compensation_and_camera_file_exports.geometry_csv(arm))))
+    assert json.loads(json_csv_linuxcnc_and_camera_file_exports.geometry_json(arm))["joints"] == arm.joints.tolist()
+    rows = list(csv.reader(io.StringIO(json_csv_linuxcnc_and_camera_file_exports.geometry_csv(arm))))
     assert rows[0][0] == "joint" and len(rows) == 7 and float(rows[3][2]) == 0.15 and float(rows[3][5]) == 0

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.errors import RigError
 from rig.formats.exporters import urdf_and_sdf_export_of_arms_and_hexapods
-from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import struts_as_simulators_model_them
+from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import simulator_strut_models
 from rig.model.mechanisms import hexapod
 from rig.planning import configuration_generators
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -39,7 +39,7 @@ def driven(model, T, m):
     def put(name, value):
         q[model.joints[model.getJointId(name)].idx_q] = value
 
-    for n, (strut, length) in enumerate(zip(struts_as_simulators_model_them(m), hexapod.inverse(T, m)), 1):
+    for n, (strut, length) in enumerate(zip(simulator_strut_models(m), hexapod.inverse(T, m)), 1):
         along = T.apply(m.platform_joints[n - 1]) - m.base_joints[n - 1]
         turn, tilt = cardans(along / np.linalg.norm(along), strut.T_base_cross)
         put(f"strut_{n}_turn", turn)

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from scipy.io import savemat
 
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.model.pose import pose_difference, pose_to_vector
 from rig.recording.recording_folder import load_recording
 from tests.cli import run

@@ -7,9 +7,7 @@ import pytest
 
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe
-from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import (
-    exposures_timed_by_names_table_or_commands,
-)
+from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import exposures_with_times_and_recipe
 
 COMMANDS = SimpleNamespace(t=[Decimal(0), Decimal(9)])
 
@@ -22,7 +20,7 @@ def timed(tmp_path, offset, commanded, frames=None):
         [0, 0, 1, 1], None if frames else t, ["a", "b", "a", "b"], paths, Images((tmp_path,)), ()
     )
     recipe = Recipe(tmp_path / "rig.toml", images=exposed.images, frames=frames)
-    found, _ = exposures_timed_by_names_table_or_commands(exposed, commanded, recipe, lambda _: True)
+    found, _ = exposures_with_times_and_recipe(exposed, commanded, recipe, lambda _: True)
     return [float(one) for one in found.times()], " ".join(found.remarks)
 
 

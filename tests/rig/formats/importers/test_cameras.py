@@ -11,12 +11,12 @@ import pytest
 import yaml
 
 from rig.errors import RigError
-from rig.formats.exporters import geometry_compensation_and_camera_file_exports as exported
-from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries, design_from_rig_toml
+from rig.formats.exporters import json_csv_linuxcnc_and_camera_file_exports as exported
+from rig.formats.rig_toml import camera_instrument_experiment_and_cube_turn_entries, design_from_rig_toml
 from rig.model.pose import exp
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.checks.test_mistakes import run_in_process
-from vision.lens import project
+from vision.opencv_lens_model import project
 
 WIDE = {"pinhole": [620.0, 615.0, 642.5, 480.25], "equidistant": [0.012, -0.004, 0.0015, -0.0003]}
 
@@ -270,7 +270,9 @@ def test_what_opencv_writes_is_read_and_what_it_reads_is_written(suffix, stated,
 def test_camera_info_goes_both_ways(stated, true, tmp_path):
     out = tmp_path / "changed.toml"
     out.write_text(
-        camera_instrument_experiment_and_cube_entries.rig_toml_with_camera_values_replaced(stated[0].read_text(), true)
+        camera_instrument_experiment_and_cube_turn_entries.rig_toml_with_camera_values_replaced(
+            stated[0].read_text(), true
+        )
     )
     assert run_in_process("export", out, "--format", "camera-info", "--out", tmp_path / "info")[0] == 0
     tree = yaml.safe_load((tmp_path / "info" / f"{true[1].name}.yaml").read_text())

@@ -9,7 +9,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import (
     clock_offset_mistakes_of_frames_in_motion,
     clock_shift_putting_most_frames_into_dwells,
 )
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
 from tests.rig.formats.importers.test_importing import words

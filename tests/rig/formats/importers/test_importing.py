@@ -10,7 +10,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.errors import RigError
 from rig.formats import importers
-from rig.formats.importers import table_units_and_timestamps
+from rig.formats.importers import foreign_table_units_and_timestamps
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
@@ -106,7 +106,7 @@ def test_what_is_ambiguous_is_refused_with_what_decides(name, good, tmp_path):
 def test_times_without_a_unit_are_told_by_what_can_be_or_refused():
     cells = [str(k * 20) for k in range(9)]
     assert (
-        table_units_and_timestamps.read_times(
+        foreign_table_units_and_timestamps.read_times(
             cells, "commands", "x", None, None, 0.0, lambda t: t[-1] < 1 and t[-1] > 0.01
         ).unit
         == "ms"
@@ -114,24 +114,25 @@ def test_times_without_a_unit_are_told_by_what_can_be_or_refused():
     with pytest.raises(
         RigError, match=r"160 s in all: --set 'commands.time_unit=s'(.|\n)*0.16 s in all: --set 'commands.time_unit=ms'"
     ):
-        table_units_and_timestamps.read_times(cells, "commands", "x", None, None, 0.0)
+        foreign_table_units_and_timestamps.read_times(cells, "commands", "x", None, None, 0.0)
     for unit, per in (("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)):
         cells = [str(1763800000 * per + k * per // 4) if per > 1 else f"{1763800000 + k / 4}" for k in range(3)]
-        read = table_units_and_timestamps.read_times(cells, "commands", "x", None, None, 0.0)
+        read = foreign_table_units_and_timestamps.read_times(cells, "commands", "x", None, None, 0.0)
         assert read.unit == unit and [float(t - read.seconds[0]) for t in read.seconds] == [0, 0.25, 0.5]
 
 
 def test_iso_times_keep_nanoseconds_and_zones():
-    read = table_units_and_timestamps.read_times(
+    read = foreign_table_units_and_timestamps.read_times(
         ["2026-01-31T12:00:00.000000001+01:00", "2026-01-31 11:00:00,5Z"], "x", "x", None, None, 0.0
     )
     assert [float(t - read.seconds[0]) for t in read.seconds] == [0, 0.499999999]
     with pytest.raises(RigError, match="some times state a time zone"):
-        table_units_and_timestamps.read_times(
+        foreign_table_units_and_timestamps.read_times(
             ["2026-01-31T12:00:00Z", "2026-01-31T12:00:00"], "x", "x", None, None, 0.0
         )
     assert (
-        "UTC" in table_units_and_timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).remarks[-1]
+        "UTC"
+        in foreign_table_units_and_timestamps.read_times(["2026-01-31T12:00:00"], "x", "x", None, None, 0.0).remarks[-1]
     )
 
 

@@ -10,7 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rig.formats.importers.foreign_table_columns import accepted_header_names_of_axes, column_indices_by_headers
+from rig.formats.importers.foreign_table_column_search_and_completion import (
+    accepted_header_names_of_axes,
+    column_indices_by_headers,
+)
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH

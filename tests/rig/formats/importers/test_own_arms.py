@@ -11,7 +11,7 @@ from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOp
 from rig.formats.numbers_and_units import parse_length_and_angle_units
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.formats.rig_toml.rig_toml_text_in_other_units import rig_toml_in_units
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.model.pose import pose
 from rig.planning.layout.shipped_arms_and_layouts import load_shipped_arm_design, shipped_arm_names
 from tests.cli import run

@@ -8,7 +8,7 @@ import pytest
 
 from rig.errors import FileError, RigError
 from rig.formats.importers import import_recipe, recording_import
-from rig.formats.importers.command_and_sensor_tables import read_sensors
+from rig.formats.importers.foreign_command_and_sensor_tables import read_sensors
 from rig.formats.local_and_remote_input_files import open_regular_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp

@@ -9,11 +9,15 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from rig.formats.importers.csv_dialect import read_foreign_table_header_and_cells
-from rig.formats.importers.foreign_table_columns import TIME, accepted_header_names_of_axes, column_indices_by_headers
+from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_pose_table import POSITION, VECTOR
+from rig.formats.importers.foreign_table_column_search_and_completion import (
+    TIME,
+    accepted_header_names_of_axes,
+    column_indices_by_headers,
+)
+from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
 from rig.formats.importers.import_recipe import ForeignTable
-from rig.formats.importers.pose_table import POSITION, VECTOR
-from rig.formats.importers.table_units_and_timestamps import UnclearInput
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH

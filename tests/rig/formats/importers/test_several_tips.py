@@ -8,7 +8,7 @@ from rig.errors import RigError
 from rig.formats.exporters.urdf_and_sdf_export_of_arms_and_hexapods import arm_urdf
 from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import load_recording
 from tests.cli import run

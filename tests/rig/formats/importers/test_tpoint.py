@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.api.calibrate import CalibrateOptions, calibrate
-from calib.models.arm.pointing_terms import ARCSEC
+from calib.models.arm.mount_pointing_terms import ARCSEC
 from rig.errors import FileError
 from rig.formats.importers.tpoint_pointing_data_import_and_refraction import (
     Weather,

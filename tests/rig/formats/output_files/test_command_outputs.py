@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.formats.output_files import MANIFEST, CommandOutputs, require_complete_folder, write_text
+from rig.formats.output_files import MANIFEST, CommandOutputs, require_folder_of_uninterrupted_command, write_text
 from rig.formats.output_files.staged_folder_and_manifest import load_manifest
 from rig.recording import recording_folder as recording
 from tests.conftest import ROOT
@@ -218,13 +218,15 @@ def test_killed_at_every_step_a_folder_is_old_or_new_or_marked(tmp_path):
         left = {name: text for name, text in tree(out).items() if not name.startswith(".rig-")}
         assert all(text in (old.get(name), new.get(name)) for name, text in left.items())
         try:
-            require_complete_folder(out)
+            require_folder_of_uninterrupted_command(out)
             seen.add("old" if left == old else "new")
             assert left in (old, new)
         except FileError:
             seen.add("marked")
         make(out, new)
-        assert tree(out) == new and require_complete_folder(out) is None  # nothing staged is left either
+        assert (
+            tree(out) == new and require_folder_of_uninterrupted_command(out) is None
+        )  # nothing staged is left either
         if done.returncode == 0:
             break
     assert seen == {"old", "marked", "new"} and step > 10
@@ -287,10 +289,10 @@ def test_a_folder_written_in_place_is_marked_until_its_end(tmp_path):
             other.folder(out)
         raise ZeroDivisionError
     with pytest.raises(FileError, match="not complete"):
-        require_complete_folder(out)
+        require_folder_of_uninterrupted_command(out)
     with CommandOutputs("blind") as outputs:
         write_text(outputs.growing(out) / "y", "2")
-    assert require_complete_folder(out) is None and tree(out) == {"x": "1", "y": "2"}
+    assert require_folder_of_uninterrupted_command(out) is None and tree(out) == {"x": "1", "y": "2"}
     with pytest.raises(FileError, match="did not make"), CommandOutputs("run") as outputs:
         outputs.growing(out)
 

@@ -5,7 +5,7 @@ import pytest
 
 from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import toml_value_positions
-from rig.formats.rig_toml import camera_instrument_experiment_and_cube_entries, design_from_rig_toml
+from rig.formats.rig_toml import camera_instrument_experiment_and_cube_turn_entries, design_from_rig_toml
 from rig.model import mechanisms
 from rig.model.pose import exp, pose_difference
 from tests.conftest import SHARED
@@ -175,7 +175,7 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
         pose=design.cameras[1].pose * exp(np.full(6, 1e-3)),
         distortion=np.array([-0.11, 0.07, 1e-4, 2e-4, 0.3]),
     )
-    text = camera_instrument_experiment_and_cube_entries.rig_toml_with_camera_values_replaced(
+    text = camera_instrument_experiment_and_cube_turn_entries.rig_toml_with_camera_values_replaced(
         "# keep me\n" + rig_text, [moved]
     )
     path = tmp_path / "rig.toml"
@@ -184,7 +184,10 @@ def test_cameras_are_written_back_and_all_else_stays(rig_text, design, tmp_path)
     np.testing.assert_allclose(loaded.cameras[1].distortion, moved.distortion)
     assert np.abs(pose_difference(loaded.cameras[1].pose, moved.pose)).max() < 1e-8
     assert text.startswith("# keep me") and "# camera in base" in text
-    assert camera_instrument_experiment_and_cube_entries.rig_toml_with_camera_values_replaced(rig_text, []) == rig_text
+    assert (
+        camera_instrument_experiment_and_cube_turn_entries.rig_toml_with_camera_values_replaced(rig_text, [])
+        == rig_text
+    )
 
 
 def test_positions_point_at_the_values(rig_text):

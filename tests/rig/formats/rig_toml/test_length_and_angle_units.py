@@ -15,7 +15,7 @@ from rig.errors import FileError
 from rig.formats.json_toml_and_yaml_loading import json_data, toml_entries
 from rig.formats.numbers_and_units import LengthAndAngleUnits, parse_length_and_angle_units
 from rig.formats.rig_toml.arm_dynamics_entries import dynamics_of_table
-from rig.formats.rig_toml.camera_instrument_experiment_and_cube_entries import (
+from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
     camera_toml,
     rig_toml_with_camera_values_replaced,
     rig_toml_with_target_markers_replaced,

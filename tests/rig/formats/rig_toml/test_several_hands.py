@@ -9,7 +9,7 @@ from calib.files.mechanism_and_physics_entries import mechanism_dict, mechanism_
 from rig.errors import FileError
 from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.rig_toml import design_from_rig_toml
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.recording.frame_selection_and_content_hashes import remove_frames, select_hand
 from rig.recording.recording_folder import load_recording
 from tests.two_armed import HUMANOID, humanoid

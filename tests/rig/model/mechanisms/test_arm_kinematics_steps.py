@@ -5,8 +5,8 @@ they began.
 import numpy as np
 import pytest
 
-from rig.model.mechanisms import arm as mechanism
 from rig.model.mechanisms import arm_dynamics_and_step_by_step_kinematics, closed_form_and_numerical_arm_inverse
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from tests.rig.arms import GANTRY, SCARA, SEVEN, STANFORD, UR10
 from tests.rig.model.mechanisms.test_six_joint_inverse import ARMS
 

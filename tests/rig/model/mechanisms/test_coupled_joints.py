@@ -7,14 +7,18 @@ import pytest
 
 import rig
 from calib.api.arm_kinematics import ArmKinematics
-from calib.models.arm.error_model_and_observations import arm_with_parameter_step, parameter_jacobian, parameter_names
+from calib.models.arm.arm_error_model_and_instrument_observations import (
+    arm_with_parameter_step,
+    parameter_jacobian,
+    parameter_names,
+)
 from rig.errors import FileError, RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Coupling
 from rig.model.mechanism_geometry_classes import Chain
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.model.pose import pose_difference
 from rig.planning.configuration_generators import evenly_spread_configurations
-from rig.planning.plan import build_plan
+from rig.planning.recording_plan import build_plan
 from rig.posture.best_posture import PostureOptions, best_posture, posture_sweep
 from tests.cli import run
 from tests.rig.arms import UR10
@@ -78,7 +82,7 @@ def test_inverse_and_plans_have_followers_where_leaders_have_them():
     np.testing.assert_array_equal(q, ARM.with_followers(q))
     on_another = evenly_spread_configurations(Chain((UR10, ARM)), 20, 0.8)[:, 6:]
     np.testing.assert_array_equal(on_another, ARM.with_followers(on_another))
-    found, left = serial.solve_arm_inverse_by_damped_least_squares(serial.forward(q, ARM), ARM, q + 0.05, starts=0)
+    found, left = serial.damped_least_squares_arm_inverse_and_error(serial.forward(q, ARM), ARM, q + 0.05, starts=0)
     np.testing.assert_allclose(found, q, atol=1e-7)
     assert left.max() < 1e-10
 

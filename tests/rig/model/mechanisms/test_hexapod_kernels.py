@@ -18,7 +18,7 @@ def test_a_pose_comes_out_the_same_to_the_last_bit_whatever_stands_beside_it(des
     ).all()
     monkeypatch.setattr(hexapod_kernels, "worker_count", lambda: 3)
     parts = []
-    hexapod_kernels.run_in_threads(parts.append, 100, 10)
+    hexapod_kernels.run_kernel_in_threads(parts.append, 100, 10)
     assert len(parts) == 3 and sorted(k for part in parts for k in range(100)[part]) == list(range(100))
     many = np.tile(commands, (100, 1))
     assert (hexapod.forward(many, design.mechanism).as_matrix().reshape(100, 300, 4, 4) == together).all()

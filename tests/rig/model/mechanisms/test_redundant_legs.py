@@ -11,7 +11,7 @@ import pytest
 from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.loop_closure_checks_of_redundant_measuring_limbs import Limbs
-from calib.correction.correction import Correction
+from calib.correction.machine_correction import Correction
 from calib.files import calibration_file
 from calib.online import accepted_measuring_limbs_file
 from rig.cli.command_line import main

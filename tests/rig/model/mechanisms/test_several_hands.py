@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import Branch
 from rig.model.mechanism_geometry_classes import Arm
-from rig.model.mechanisms import arm as serial
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as serial
 from rig.model.mechanisms.arm_dynamics_and_step_by_step_kinematics import loads_by_weight_of_hands
 from rig.model.pose import pose_difference
 from tests.rig.arms import UR10
@@ -75,7 +75,7 @@ def test_joints_hold_the_weight_of_every_branch_that_stands_on_them(arm, q):
 
 def test_the_inverse_of_one_hand_leaves_the_joints_of_the_other(arm, q):
     seen, start = arm.of_hand("right"), np.full((6, 15), 0.1)
-    found, left = serial.solve_arm_inverse_by_damped_least_squares(serial.forward(q, seen), seen, start)
+    found, left = serial.damped_least_squares_arm_inverse_and_error(serial.forward(q, seen), seen, start)
     assert (left < 1e-10).all()
     np.testing.assert_array_equal(found[:, 3:9], start[:, 3:9])
 

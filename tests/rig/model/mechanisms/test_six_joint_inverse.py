@@ -10,7 +10,7 @@ import pytest
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Arm
-from rig.model.mechanisms import arm as mechanism
+from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
 from rig.model.mechanisms import closed_form_and_numerical_arm_inverse
 from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 
@@ -93,7 +93,7 @@ def test_a_spherical_wrist_over_two_parallel_axes_has_eight_branches():
     found = closed_form_and_numerical_arm_inverse.closed_form_inverse(T, six)
     for i in range(5):
         many = mechanism.forward(np.tile(q[i], (150, 1)), OFFSET)
-        numeric, left = mechanism.solve_arm_inverse_by_damped_least_squares(
+        numeric, left = mechanism.damped_least_squares_arm_inverse_and_error(
             many, OFFSET, np.random.default_rng(3).uniform(-3, 3, (150, 6)), starts=0
         )
         numeric = numeric[left < 1e-10]
@@ -148,7 +148,7 @@ def test_poses_out_of_reach_say_why(position, reason):
     "arm, words",
     [
         (SEVEN, "six joints, not 7"),
-        (random_arm(np.random.default_rng(0)), "take rig.model.mechanisms.arm.inverse"),
+        (random_arm(np.random.default_rng(0)), "take rig.model.mechanisms.arm_kinematics_limits_and_loads.inverse"),
         (Arm(UR10.joints * [1, 1, 1, 0], UR10.limits), "parallel"),
     ],
 )

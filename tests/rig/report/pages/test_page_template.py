@@ -9,7 +9,7 @@ import pytest
 
 from rig.report.pages.html_and_svg_elements import (
     capitalise_unless_name_or_sign,
-    captioned_html,
+    figures_with_caption_html,
     inline_html,
     round_ticks,
     svg_text_or_empty_if_too_large,
@@ -19,7 +19,7 @@ from rig.report.pages.html_and_svg_elements import (
 )
 from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, Scene, image_plane_figure, view_3d_html
 from rig.report.pages.page_templates_and_index_page import Link, Page, page_html
-from rig.report.pages.plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
+from rig.report.pages.svg_plots import MOST, RIGHT, Series, axis_scale_of_values, bar_chart_svg, plot_panel_svg
 from rig.report.verdict_refutations_and_result_display import State, Verdict
 
 
@@ -71,7 +71,7 @@ def test_columns_of_text_begin_at_their_left_and_lengths_are_in_micrometres():
 
 def test_the_headline_is_the_first_clause_and_doubts_follow_as_a_list():
     why = "3 times better (mean 1; most 2) here: 2 -> 1 mm; the model omits <play>; and more"
-    page = page_html(Page("verify", "t", Verdict(State.CHECK, why), [captioned_html("<svg/>", "a um")]))
+    page = page_html(Page("verify", "t", Verdict(State.CHECK, why), [figures_with_caption_html("<svg/>", "a um")]))
     assert "</strong> 3 times better (mean 1; most 2) here: 2 → 1 mm.</p>" in page
     assert "<ul><li>The model omits &lt;play&gt;</li><li>And more</li></ul>" in page
     assert '<figure class="plots"><svg/><figcaption>a µm</figcaption></figure>' in page
