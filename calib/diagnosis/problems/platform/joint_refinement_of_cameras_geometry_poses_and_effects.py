@@ -5,7 +5,6 @@ All are refined together, with the effects' parameters, by Gauss-Newton.
 A parameter that the data pull beyond its bounds stands at its bound, and the others make the best of it there.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import cast
@@ -22,19 +21,13 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
     coefficient_bounds,
     effect_parameter_directions,
 )
-from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, move_operating_point
-from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import (
-    CLOSURES,
-    CORNERS,
-    LinearisedModel,
-    linearise,
-)
-from calib.diagnosis.problems.platform.linearised_corners import (
-    CLIP,
-    camera_edge_bias_nuisances,
-    remounted_cube_pose_nuisances,
-    repeated_corner_error,
-    split_rows_by_frame_bases,
+from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
+from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
+from calib.diagnosis.problems.platform.linearised_corners import CLIP, repeated_corner_error
+from calib.diagnosis.problems.platform.operating_point_steps_and_costs import (
+    cost_without_relinearisation,
+    likelihood_cost,
+    operating_point_after_step,
 )
 from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column
 from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
@@ -43,13 +36,10 @@ from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
     Coordinate,
     conserved_coordinate_sums,
-    cost_of_priors,
     effect_with_valid_place_and_parameters,
     effects_with_coordinates,
     inverse_prior_standard_deviation,
 )
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parameters, mechanism_with_parameters
-from rig.model.pose import exp
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
 MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
@@ -104,8 +94,8 @@ class Refinement(FieldSummaryRepr):
         own = self.model if same else linearise(point, as_uncertain_as=alike)
         scatter = other.model.closures.scatter
         if not scatter.any() or (scatter == own.closures.scatter).all():
-            return _comparable(own)
-        return min(_comparable(own), _comparable(linearise(point, CLIP, own, scatter, alike)))
+            return likelihood_cost(own)
+        return min(likelihood_cost(own), likelihood_cost(linearise(point, CLIP, own, scatter, alike)))
 
     def wald(self, effect: int) -> tuple[float, int]:
         """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations,
@@ -230,8 +220,8 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         except ValueError as error:  # as sums of several members may be: a smaller share of the step is within bounds
             beyond = str(error)
             continue
-        found = _apply(model, step, parts, [*known, added], share)
-        if not len(theta) or _cost_without_relinearisation(model, *found) <= _comparable(model):
+        found = operating_point_after_step(model, step, parts, [*known, added], share)
+        if not len(theta) or cost_without_relinearisation(model, *found) <= likelihood_cost(model):
             break
     if found is None:
         raise ValueError(f"{score.candidate.name} at {score.candidate.place}: {beyond}")
@@ -253,7 +243,7 @@ def operating_point_without_term(refinement: Refinement, number: int) -> Operati
             for c, v in zip(refinement.coordinates, refinement.values)
         ]
     )
-    return _apply(model, step, refinement.column, others)[0]
+    return operating_point_after_step(model, step, refinement.column, others)[0]
 
 
 def refine_operating_point(
@@ -348,91 +338,14 @@ def _try(
     model: LinearisedModel, coordinates: list[Coordinate], step: Floats | Integers, column: Column | None
 ) -> tuple[OperatingPoint, float] | None:
     """(OperatingPoint after as much of the step as lowers the cost, by how much), or None."""
-    k, before = model.point, _comparable(model)
+    k, before = model.point, likelihood_cost(model)
     values = np.array([c.read(k.effects[c.effect]) for c in coordinates])
     for share in SHARES:
         effects = effects_with_coordinates(k.effects, coordinates, values + share * step[: len(values)])
         if effects is None:
             continue
-        point, nuisances = _apply(model, cast(Floats, step), column, effects, share)
-        gained = before - _cost_without_relinearisation(model, point, nuisances)
+        point, nuisances = operating_point_after_step(model, cast(Floats, step), column, effects, share)
+        gained = before - cost_without_relinearisation(model, point, nuisances)
         if gained >= -SLACK:
             return point, gained
     return None
-
-
-def _cost_without_relinearisation(model: LinearisedModel, point: OperatingPoint, nuisances: Floats) -> float:
-    """Minus twice the log likelihood as `_comparable` has it, of an OperatingPoint near a LinearisedModel's whose
-    nuisances are moved by (r,) on the model's basis: cameras, geometry and poses are at their best by the model's
-    derivatives, noise and scatter as in the model.
-    """
-    c, basis = model.corners, model.linear.columns.whole
-    corners, inner, excess = np.zeros(0), np.zeros((model.frames, c.local.shape[1], 1)), 0.0
-    if point.seen is not None:
-        off = (point.seen.observations.uv - point.pixels())[c.order]
-        rho = np.einsum("nij,nj->ni", c.whiten, off).reshape(-1, 1) / c.sigma
-        excess = float((2 * c.clip * np.maximum(np.abs(rho) - c.clip, 0)).sum())
-        inner, out = split_rows_by_frame_bases(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
-        corners = out[:, 0]
-    closures = np.zeros(0)
-    if point.axes:
-        closures = (model.closures.W @ point.closures()[..., None] + model.closures.to_rows @ inner).ravel()
-    known = model.linear.blocks[CLOSURES].known_rows
-    beforehand = model.closure_residual[known] + basis[CLOSURES][known] @ (model.nuisances.at_rest - nuisances)
-    rows = np.concatenate([closures, beforehand])
-    z = basis[CORNERS].T @ corners + basis[CLOSURES].T @ rows
-    cost = float(corners @ corners + rows @ rows - z @ z) + excess
-    return cost + _constant(model) + cost_of_priors(point.effects)
-
-
-def _constant(model: LinearisedModel) -> float:
-    """What noise and scatter make of minus twice the log likelihood."""
-    noise = 2 * len(model.corner_residual) * np.log(model.corners.sigma)
-    return noise - 2 * np.linalg.slogdet(model.closures.W)[1].sum() if model.point.axes else noise
-
-
-def _comparable(model: LinearisedModel) -> float:
-    """Minus twice the log likelihood, Huber's for corners, but for a constant; noise's and scatter's share included."""
-    return model.linear.cost() + model.corners.excess + _constant(model) + cost_of_priors(model.point.effects)
-
-
-def _apply(
-    model: LinearisedModel, step: Floats, column: Column | None, effects: Sequence[Effect], share: float = 1.0
-) -> tuple[OperatingPoint, Floats]:
-    """(OperatingPoint with effects, nuisances and each frame's own poses moved by a share of the way to where the fit
-    puts them, (r,) nuisances' moves on the model's basis), where effects take a step along a Column."""
-    k, whole = model.point, model.corners.inner
-    z = share * (model.nuisances.at_rest - (0 if column is None else model.linear.project(column).onto @ step))
-    freedoms = model.nuisances.solve @ z
-    inner = share * whole[..., 0] - whole[..., 1:] @ freedoms[: whole.shape[2] - 1]
-    if column is not None and column.inner is not None:
-        inner = inner - share * (column.inner @ step)
-    local = np.einsum("fij,fj->fi", model.corners.to_local, inner)
-    cameras = list(k.design.cameras)
-    for i, at in model.nuisances.camera_columns.items():
-        value = freedoms[at]
-        if i not in k.moving:
-            cameras[i] = replace(cameras[i], pose=cameras[i].pose * exp(value[:6]))
-            value = value[6:]
-        matrix = cameras[i].matrix.copy()
-        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
-        cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
-    finder = list(k.finder or [0.0] * len(cameras))
-    for i, j in camera_edge_bias_nuisances(model.nuisances.names, k.design):
-        finder[i] += float(freedoms[j])
-    own = remounted_cube_pose_nuisances(model.nuisances.names)
-    seats = tuple(
-        type(s).of_numbers(s.place, s.numbers() + freedoms[own[s.place]]) if s.place in own else s for s in k.seats
-    )
-    if k.axes:
-        m, p = k.platform, geometric_parameters(k.platform)
-        k = replace(
-            k,
-            design=replace(
-                k.design, mechanism=mechanism_with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])
-            ),
-        )
-    if k.seen is None:
-        local = np.zeros((model.frames, 6))
-    moved = move_operating_point(k, cameras, local)
-    return replace(moved, effects=tuple(effects), finder=tuple(finder), seats=seats), z
