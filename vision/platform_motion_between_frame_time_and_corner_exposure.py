@@ -20,6 +20,9 @@ from rig.model.machine_motion_simulation import simulate_machine_run
 from rig.model.pose import exp
 from rig.recording.exposures_and_image_files import SIMULTANEOUS
 from rig.recording.recording_folder import Recording
+from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import (
+    corner_jacobians_to_poses_and_lens_by_camera,
+)
 from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
     CameraTimes,
     Clocks,
@@ -121,17 +124,31 @@ def measurement_with_uncertainty_of_rates(measured: Measurement, rates: Rates) -
     With what rates that are taken at another moment, and other row times, would make of its poses.
     """
     o = measured.observations
-    count = np.maximum(np.bincount(o.frame, o.on_platform, len(o.frames)), 1)[:, None]
     at = np.searchsorted(o.frames, measured.frames)
-
-    def mean(late: Floats) -> Floats:
-        return np.bincount(o.frame, late, len(o.frames))[:, None] / count
-
     unsure = np.where(o.on_platform, _rows(o, measured.design) * rates.row_time_sigma[o.camera], 0.0)
-    offs = [mean(_late(o, measured.design, rates)) * rates.apart * rates.curvature]
-    offs += [mean(unsure * (o.camera == i)) * rates.rate for i in np.flatnonzero(rates.row_time_sigma)]
-    covariance = measured.covariance + sum(off[at, :, None] * off[at, None, :] for off in offs)
+    offs = [_pose_shifts(measured, _late(o, measured.design, rates) * rates.apart, rates.curvature[at])]
+    offs += [
+        _pose_shifts(measured, unsure * (o.camera == i), rates.rate[at]) for i in np.flatnonzero(rates.row_time_sigma)
+    ]
+    covariance = measured.covariance + sum(off[:, :, None] * off[:, None, :] for off in offs)
     return replace(measured, covariance=covariance)
+
+
+def _pose_shifts(measured: Measurement, late: Floats, rate: Floats) -> Floats:
+    """(F, 6) tangents by which poses of the solved frames come out elsewhere where their corners are exposed late by
+    late (n,) s, at rates (F, 6) per s of the platform.
+
+    Each corner weighs as it does in its frame's pose: a pose is turned, too, by rows that are late by zero on average.
+    """
+    at = np.flatnonzero(np.isin(measured.observations.frames[measured.observations.frame], measured.frames))
+    o, F = measured.observations.take(at), len(measured.frames)
+    solved = replace(o, frames=measured.frames, frame=np.searchsorted(measured.frames, o.frames[o.frame]))
+    whole, moved = np.zeros((2, F, 6, 6))
+    for _, rows, J_platform, *_ in corner_jacobians_to_poses_and_lens_by_camera(solved, measured.adjustment.state):
+        products = np.swapaxes(J_platform, 1, 2) @ np.linalg.solve(solved.covariance[rows], J_platform)
+        np.add.at(whole, solved.frame[rows], products)
+        np.add.at(moved, solved.frame[rows], late[at][rows, None, None] * products)
+    return np.linalg.solve(whole, moved @ rate[..., None])[..., 0]
 
 
 class ReadoutMotion:

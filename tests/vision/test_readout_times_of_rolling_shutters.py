@@ -1,13 +1,20 @@
 """Readout times of rolling shutters that nobody stated: found from exposures in motion, with the clocks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import vision
+from rig.model.pose import log
 from rig.recording.recording_folder import load_recording
-from tests.moving_run import rig_text, write_moving_recording, write_standing_recording
+from tests.moving_run import ROW_TIME, rig_text, write_moving_recording, write_standing_recording
 from tests.truth import rigid
 from tests.truth.camera_sets import HIGH
+from vision.platform_motion_between_frame_time_and_corner_exposure import (
+    commanded_platform_rates,
+    measurement_with_uncertainty_of_rates,
+)
 
 OFFSET = 0.0073  # s
 DELAYS = np.array([0.0, 0.021, 0.013])  # s
@@ -83,3 +90,29 @@ def test_a_global_shutter_is_given_no_readout_time(tmp_path):
         for one, camera in zip(found.measurement.readouts, found.measurement.design.cameras):
             assert not one.certain and abs(one.time) < 3 * one.sigma and camera.row_time is None
             assert "no readout time beyond doubt" in str(one)
+
+
+def test_uncertain_rows_count_in_poses_as_wrong_ones_move_them(tmp_path):
+    """What a wrong row time of one camera makes of each pose, position and rotation, is what its uncertainty adds."""
+    (folder := tmp_path / "moving").mkdir()
+    case, _ = write_moving_recording(folder, OFFSET, 0 * DELAYS, SPEED, 1, 10, READOUT / HIGH)
+    off = 0.1 * READOUT / HIGH
+
+    def measured_with(row_times):
+        text = rig_text(case, True)
+        for one in row_times:
+            text = text.replace(f"row_time = {ROW_TIME}", f"row_time = {one!r}  # s", 1)
+        (folder / "rig.toml").write_text(text)
+        return vision.measure(load_recording(folder)).measurement
+
+    right = measured_with([READOUT / HIGH] * 3)
+    wrong = measured_with([READOUT / HIGH, READOUT / HIGH + off, READOUT / HIGH])
+    moved = log(right.T_base_platform.inv() * wrong.T_base_platform)
+    rates = commanded_platform_rates(load_recording(folder), ())
+    unsure = replace(rates, row_time_sigma=np.array([0.0, off, 0.0]), apart=0.0)
+    grown = measurement_with_uncertainty_of_rates(right, unsure).covariance - right.covariance
+    sizes = np.sqrt(np.einsum("fii->fi", grown))
+    ratio = np.sqrt((sizes**2).mean(axis=0) / (moved**2).mean(axis=0))
+    assert (np.abs(ratio - 1) < 0.15).all(), ratio
+    alike = [float(np.corrcoef(np.abs(moved[:, i]), sizes[:, i])[0, 1]) for i in range(6)]
+    assert min(alike) > 0.6, alike
