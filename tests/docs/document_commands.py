@@ -11,10 +11,15 @@ SKETCH = re.compile(r" \.\.|\.\. | \| |\[")  # a line that leaves something to t
 
 
 def commands(page: Path) -> list[str]:
-    """Lines of a page's blocks that are commands, without what is said beside them after two spaces or more."""
+    """Lines of a page's blocks that are commands, without the remark behind each."""
     lines = re.findall(r"^    (rig [a-z].*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
-    parts = [part for line in lines for part in re.split(r"\s{2,}(?=rig )", line)]
-    return [re.split(r"\s{2,}", line)[0] for line in parts if not SKETCH.search(re.split(r"\s{2,}", line)[0])]
+    typed = [without_remark(line) for line in lines]
+    return [line for line in typed if not SKETCH.search(line)]
+
+
+def without_remark(line: str) -> str:
+    """What a shell executes of a line: all before a # that begins a word."""
+    return re.split(r"\s+#", line)[0].rstrip()
 
 
 def words(command: str) -> list[str]:
