@@ -14,7 +14,7 @@ FORMS = {  # anchor: the word as pages use it, where that is not the word with o
     "action": "(?<=recommended )actions?",
     "corner": "corners? of (?:a |the )?markers?|marker corners?",
     "driver": "drivers? of (?:a |the )?controllers?",
-    "exposure-frame": "exposures?",
+    "exposure-frame": "exposures?(?! times?)",
     "family": "famil(?:y|ies) of laws",
     "further-pass": "further pass(?:es)?",
     "home": "home pose|(?<=at )home|(?<=from )home|(?<=relative to )home",
@@ -22,6 +22,7 @@ FORMS = {  # anchor: the word as pages use it, where that is not the word with o
     "place": "(?<=at these )places|(?<=with their )place|(?<=where an effect acts, its )place",
     "play": "backlash|(?<!may )(?<!can )play",
     "visit": "(?<=a )visit|(?<=first )visit|(?<=small )visits|(?<=more )visits|(?<=later )visits|(?<=of )visits",
+    "rig": r"(?<=a \*)rig(?=\*)",
     "unknown": "`unknown`",
     "zero": "strut zeros|zeros of (?:the )?struts",
 }
