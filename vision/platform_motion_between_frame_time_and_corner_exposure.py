@@ -143,12 +143,12 @@ def _pose_shifts(measured: Measurement, late: Floats, rate: Floats) -> Floats:
     at = np.flatnonzero(np.isin(measured.observations.frames[measured.observations.frame], measured.frames))
     o, F = measured.observations.take(at), len(measured.frames)
     solved = replace(o, frames=measured.frames, frame=np.searchsorted(measured.frames, o.frames[o.frame]))
-    whole, moved = np.zeros((2, F, 6, 6))
+    whole, moved = np.zeros((F, 6, 6)), np.zeros((F, 6, 6))
     for _, rows, J_platform, *_ in corner_jacobians_to_poses_and_lens_by_camera(solved, measured.adjustment.state):
         products = np.swapaxes(J_platform, 1, 2) @ np.linalg.solve(solved.covariance[rows], J_platform)
         np.add.at(whole, solved.frame[rows], products)
         np.add.at(moved, solved.frame[rows], late[at][rows, None, None] * products)
-    return np.linalg.solve(whole, moved @ rate[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(whole, moved @ rate[..., None])[..., 0], float)
 
 
 class ReadoutMotion:

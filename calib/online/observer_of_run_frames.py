@@ -97,7 +97,8 @@ class RunObserver:
         self._begun, self._done, self._distances = clock.now(), 0, longest_axis_distance_of_steps(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
         speeds = np.array([speed if step.speed is None else step.speed for step in planned])
-        self._travel, self._planned = self._distances / speeds, planned
+        rests = np.array([sum(step.rests) for step in planned])
+        self._travel, self._planned = self._distances / speeds + rests, planned
         frames = sum(step.frames for step in planned)
         self.state = RunState(
             tuple(zip(mechanisms.axis_place_texts(design.mechanism), mechanisms.axis_units(design.mechanism))),
@@ -247,7 +248,7 @@ class RunObserver:
             raise self._failed
 
     def _left(self, step: int) -> float:
-        """s until the plan is done: the ways at full speed, and what the steps so far took beside theirs."""
+        """s until the plan is done: ways at full speed, its rests, and what the steps so far took beside theirs."""
         passed = self._clock.now() - self._begun
         done = max(self._done - 1, 0)
         overhead = (passed - self._travel[step - done : step].sum()) / done if done else 0.0

@@ -52,6 +52,8 @@ from rig.driving.run_steps_from_plan_and_progress_from_journal import (
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.atomic_file_writing_and_process_locks import sync_folder
 
+REST_POLL, READ_EVERY = 0.5, 30.0  # s between looks whether a rest is to stop, between readings of sensors meanwhile
+TICK = 1e-3  # s that a rest may be shorter
 ENTRY_POLL = 0.1  # s between looks whether an operator who is asked has stopped the run
 
 
@@ -217,18 +219,31 @@ class RunOperator:
         """One step from the present position: the move unless it is done, the missing frames."""
         step = self.planned[state.step]
         if step.frames and state.frames >= step.frames:
-            return  # wherever the struts stand by now
+            return  # wherever the struts stand by now, and the rest after them is not made up for
         if not state.arrived:
             self._wanted()
             if step.speed is None:
                 self._move(state.step, state.position, step.goal)
             else:
                 self._move_exposing(self._begin(state), step.goal, step.speed)
-        number = state.number
+        number, since = state.number, self.now()
         for k in range(state.frames, step.frames):
             self._wanted()
+            self._rest(since, step.rest_before(k))
             frame = number + k - state.frames
             self._expose(state.step, frame, self._settle(frame, step.goal))
+            since = self.now()
+        self._rest(since, step.rest_before(step.frames))
+
+    def _rest(self, since: float, seconds: float) -> None:
+        """Stand as long as the plan does (s), counted since a time (s), with the sensors' readings meanwhile."""
+        end, looked = since + seconds, self.now()
+        while (left := end - self.now()) > TICK:
+            self._wanted()
+            if self.now() - looked >= READ_EVERY:
+                self._look()
+                looked = self.now()
+            self.bench.clock.sleep(min(left, REST_POLL))
 
     def _wanted(self) -> None:
         reason = self.watcher.stop()

@@ -24,7 +24,7 @@ from rig.driving.run_journal import (
     Row,
 )
 from rig.errors import RigError, Unreachable
-from rig.planning.timed_plan_and_visiting_order import Plan
+from rig.planning.timed_plan_and_visiting_order import AFTER, DWELL, Plan
 
 STANDING = 1e-9  # m; commands that differ by less are one place
 INSTANT = 1e-6  # s about an exposure in which the struts must not move
@@ -34,17 +34,24 @@ INSTANT = 1e-6  # s about an exposure in which the struts must not move
 class Step:
     """One move and what follows it. goal : (axes,) m; frames : how many exposures are taken there, 0 for a place passed
     on the way; speed : m/s of the strut that moves most where cameras expose during the move, None where they do not
+    rests : (frames + 1,) s that the plan stands there from the arrival or an exposure until the next exposure, and
+        until it leaves, 0 for what settling takes anyway; () for none
     """
 
     goal: Floats
     frames: int
     speed: float | None = None
+    rests: tuple[float, ...] = ()
+
+    def rest_before(self, frame: int) -> float:
+        """s that the plan stands before the exposure with this number, or before it leaves."""
+        return self.rests[frame] if self.rests else 0.0
 
 
 def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
     """Steps of a plan.
 
-    Each goal where its commands turn or dwell, and the number of frames exposed there.
+    Each goal where its commands turn or dwell, the number of frames exposed there, and rests longer than a settling.
     Raises RigError for a plan that exposes while the struts move, or that changes the payload: a run waits until the
     struts stand, and nobody is asked to load the platform.
     """
@@ -57,7 +64,7 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
     moved = np.r_[True, np.abs(np.diff(rows, axis=0)).max(axis=1) > STANDING]
     place = np.cumsum(moved) - 1  # of each row
     goals = rows[moved]
-    exposed = np.zeros(len(goals), int)
+    exposures: list[list[float]] = [[] for _ in goals]
     for t in plan.t:
         after = min(int(np.searchsorted(plan.commands.t, t + INSTANT, side="left")), len(rows) - 1)
         before = max(int(np.searchsorted(plan.commands.t, t - INSTANT, side="right")) - 1, 0)
@@ -66,9 +73,21 @@ def steps_of_plan(plan: Plan) -> tuple[Step, ...]:
                 f"the plan exposes at t = {t:g} s while the struts move; a run exposes where they stand "
                 "(leave out moving and zigzag)"
             )
-        exposed[place[before]] += 1
-    last = np.flatnonzero(exposed)[-1]
-    return tuple(Step(goal, int(count)) for goal, count in zip(goals[: last + 1], exposed))
+        exposures[place[before]].append(float(t))
+    arrived = plan.commands.t[np.flatnonzero(moved)]
+    left = np.r_[plan.commands.t[np.flatnonzero(moved)[1:] - 1], plan.commands.t[-1]]
+    last = max(k for k, times in enumerate(exposures) if times)
+    return tuple(
+        Step(goal, len(times), rests=_rests(begun, times, ended if k < last else 0.0))
+        for k, (goal, times, begun, ended) in enumerate(zip(goals[: last + 1], exposures, arrived, left))
+    )
+
+
+def _rests(arrived: float, exposures: list[float], left: float) -> tuple[float, ...]:
+    """Rests of a Step whose plan arrives, exposes and leaves at these times (s)."""
+    rests = np.diff([arrived, *exposures, left])
+    rests[rests <= DWELL + AFTER + INSTANT] = 0.0
+    return tuple(rests.tolist()) if rests.any() else ()
 
 
 def steps_with_exposures_in_motion(steps: tuple[Step, ...], speed: float, max_speed: Floats) -> tuple[Step, ...]:
@@ -82,7 +101,7 @@ def steps_with_exposures_in_motion(steps: tuple[Step, ...], speed: float, max_sp
             f"--in-motion {speed * 1e3:g} mm/s: [controller] max_speed allows above 0 and at most "
             f"{max_speed.min() * 1e3:g} mm/s"
         )
-    return tuple(Step(step.goal, 0, speed) for step in steps)
+    return tuple(Step(step.goal, 0, speed, (sum(step.rests),) if step.rests else ()) for step in steps)
 
 
 def require_all_steps_permitted(

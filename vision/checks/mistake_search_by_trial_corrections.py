@@ -198,7 +198,8 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
         Mistake(
             f"rig.toml: {UNSTATED} of camera{'s' * (len(off) > 1)} {', '.join(off)}: {tail} with lenses of "
             "which nothing is known",
-            "Calibrate the lens (`rig lens`) and state matrix and distortion; until then omit distortion",
+            "Calibrate the lens (`rig lens`) and state matrix and distortion; until then state the matrix by the focal "
+            "length in pixels and distortion = [0, 0, 0, 0, 0]",
             False,
             0.6,
         )

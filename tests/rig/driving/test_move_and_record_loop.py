@@ -183,6 +183,33 @@ def test_a_plan_that_moves_while_exposing_or_loads_the_platform_is_refused(rig):
             steps_of_plan(build_plan(rig, text))
 
 
+@pytest.mark.parametrize("plan", ["sobol:1,wait:20,sobol:1", "dwell:6", "warmup:4"])
+def test_rests_of_the_plan_that_are_longer_than_a_settling_are_kept(rig, tmp_path, plan):
+    """Exposures stand as far apart as in the plan, and a stop ends a rest."""
+    room, wanted = Room(rig, tmp_path / "rec", plan), build_plan(rig, plan, 1)
+    room.process()
+    apart, planned = np.diff([shot.t for shot in room.onlooker.shots]), np.diff(wanted.t)
+    long = planned > 30
+    assert long.any() and (apart[long] > 0.95 * planned[long]).all()
+    assert (apart[long] < 1.05 * planned[long] + 20).all() and (apart[~long] < 60).all()
+
+
+def test_a_run_of_scattered_configurations_rests_no_longer_than_it_settles(rig):
+    assert not any(any(step.rests) for step in steps_of_plan(build_plan(rig, "sobol:9,repeat:4,ladder:2")))
+
+
+def test_a_rest_of_the_plan_ends_when_the_run_is_to_stop(rig, tmp_path, monkeypatch):
+    room = Room(rig, tmp_path / "rec", "sobol:1,wait:20,sobol:1")
+    begun = room.clock.now()
+    monkeypatch.setattr(Onlooker, "stop", lambda self: "asked to" if room.clock.now() > begun + 300 else "")
+    with pytest.raises(Stopped, match="asked to"):
+        room.process()
+    assert room.clock.now() < begun + 305
+    monkeypatch.setattr(Onlooker, "stop", lambda self: "")
+    room.process()
+    assert len(room.onlooker.shots) == 1  # the other was taken before the rest
+
+
 def test_every_place_is_checked_before_anything_moves(rig):
     planned = steps_of_plan(build_plan(rig, "sobol:4"))
 
