@@ -36,7 +36,7 @@ class ForeignTable:
     relative : "zero" for lengths joint to joint, "home" for lengths from home; shift : s added to its times; zone : as
     +01:00, of ISO times without one; unit : of lengths or angles whose header states none; header : names of columns,
     of a file without; period : s between rows, or between the samples that a column `sample` counts, of one without
-    times
+    times; rows : of commands, "held" for configurations at which one pose each was measured, "moving" for a log
     """
 
     file: Path
@@ -52,6 +52,7 @@ class ForeignTable:
     rotation_unit: str | None = None
     header: str | None = None
     period: float | None = None
+    rows: str | None = None
     columns: tuple[tuple[str, str], ...] = ()
 
 
@@ -270,6 +271,7 @@ def _foreign_table(e: Entries, folder: Path, bag: Bag | None) -> ForeignTable:
         e.text("rotation_unit", ("rad", "deg"), default=None),
         e.text("header", default=None),
         e.number("period", None, above=0.0, most=3600.0, unit="s"),
+        e.text("rows", ("held", "moving"), default=None),
         _pairs(e, "columns"),
     )
 

@@ -17,6 +17,7 @@ from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
+from rig.formats.importers.commands_held_at_poses import commands_held_at_poses
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.foreign_command_and_sensor_tables import (
     ImportedCommands,
@@ -164,7 +165,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     _refuse_unused_options(recipe, skip_unreadable)
     if posed is not None and posed.alone and design.instrument is not None and design.instrument.rotation_sigma:
         rig, of_cameras = _without_rotation_sigma(recipe, rig), (*of_cameras, NO_ROTATIONS)
-    commanded = _clocked(exposed, commanded)
+    commanded = commands_held_at_poses(exposed, _clocked(exposed, commanded))
     logged = read_sensors(recipe.sensors, _like(exposed.t), design.mechanism) if recipe.sensors else None
     require_exposures_and_commands_on_one_clock(exposed, commanded)
     recipe = replace(
