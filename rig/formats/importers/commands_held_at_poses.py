@@ -25,7 +25,7 @@ SHARE = 0.75  # of the rows, that must have a pose of their own
 NEAR = 0.1  # of the time to the nearest row, up to which a pose may be from its own
 SLOWEST = 1.0  # s between rows (median); faster ones may be of a machine that moves on
 SMOOTH = 0.5  # mean cosine of successive steps, above which rows may follow a path
-SETTLED = 0.25  # of the time since the row before, that the machine has stood there when it is measured
+SETTLED = 0.25  # of the time between two rows, that the machine stands before and after it is measured
 LONGEST = 1.0  # s, the same at the most
 
 
@@ -61,11 +61,11 @@ def commands_held_at_poses(exposed: ImportedExposures, commanded: ImportedComman
     own = [t if k < 0 else frames[k] for t, k in zip(commanded.t, found.frame)]
     first = [min(pair) for pair in zip(commanded.t, own)]
     last = [max(pair) for pair in zip(commanded.t, own)]
-    starts = [DIGITS.subtract(first[0], Decimal(repr(LONGEST)))]
-    for before, arrived in zip(last, first[1:]):
-        dwell = min(LONGEST, SETTLED * float(arrived - before))
-        starts.append(DIGITS.subtract(arrived, Decimal(f"{dwell:.6f}")))
-    rows = [(moment, k) for k, pair in enumerate(zip(starts, last)) for moment in pair]
+    gaps = [float(arrived - left) for left, arrived in zip(last, first[1:])]
+    rests = [Decimal(f"{min(LONGEST, SETTLED * gap):.6f}") for gap in gaps]
+    starts = [DIGITS.subtract(t, rest) for t, rest in zip(first, [Decimal(repr(LONGEST)), *rests])]
+    ends = [DIGITS.add(t, rest) for t, rest in zip(last, [*rests, Decimal(repr(LONGEST))])]
+    rows = [(moment, k) for k, pair in enumerate(zip(starts, ends)) for moment in pair]
     line = (
         f"each row of {commanded.table.file.name} has a pose of its own, within {found.apart:.3g} s: the machine is "
         "assumed to stand still at each while it is measured; --set commands.rows=moving if it moved on"
