@@ -4,6 +4,7 @@ WhyOptions states what is known of the data of one machine: a table, a bag, or a
 read, or imported as a recording.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import nearest_known_word
 from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_pose_table import POSITION
 from rig.formats.importers.foreign_table_column_search_and_completion import Cells
 from rig.formats.importers.foreign_table_units_and_timestamps import split_header
 from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
@@ -134,23 +136,35 @@ def _of_tables(
             "calibrates nothing"
         )
     cells = read_foreign_table_header_and_cells(ForeignTable(tables["commands"]), "commands")
-    found = _columns_by_joint_name(cells, design.mechanism.axes, joint_names)
+    holds_poses = tables.get("poses") == tables["commands"]
+    found = _columns_by_joint_name(cells, design.mechanism.axes, joint_names, holds_poses)
     added = [f"commands.columns.{axis}={header}" for axis, header in found.items()]
     if _is_radians(cells, design, found):
         added.append("commands.unit=rad")
     return recipe_of_options(rig, [], dict(tables), _with_settings(added, settings))
 
 
-def _columns_by_joint_name(cells: Cells, axes: Sequence[str], joint_names: Sequence[str]) -> dict[str, str]:
-    """{axis: header} of the columns whose headers are the joints' names, but for capitals and units."""
+def _columns_by_joint_name(
+    cells: Cells, axes: Sequence[str], joint_names: Sequence[str], holds_poses: bool
+) -> dict[str, str]:
+    """{axis: header} of the columns whose headers are the joints' names, but for units; none where columns q1.. qn
+    are there.
+
+    holds_poses : whether measured positions are in the same table. Then capitals separate slides X, Y, Z from measured
+        x, y, z: a header that is a position's name is no joint's of another case
+    """
     headers = {_bare(header): header for header in cells.header}
-    return {axis: headers[_bare(name)] for axis, name in zip(axes, joint_names) if _bare(name) in headers}
+    if {axis.lower() for axis in axes} <= {bare.lower() for bare in headers}:
+        return {}
+    positions = {word for words in POSITION.values() for word in words} if holds_poses else set()
+    others = {bare.lower(): header for bare, header in headers.items() if bare not in positions}
+    found = {axis: headers.get(_bare(name), others.get(_bare(name).lower())) for axis, name in zip(axes, joint_names)}
+    return {axis: header for axis, header in found.items() if header is not None}
 
 
 def _bare(header: str) -> str:
-    return (
-        split_header(header)[0].strip().lower().removesuffix("_pos").removesuffix("_position").removesuffix("/position")
-    )
+    """A header without its unit and without a word for position or axis."""
+    return re.sub(r"(?i)(_pos(ition)?|/position|[ _]axis)$", "", split_header(header)[0].strip())
 
 
 def _is_radians(cells: Cells, design: Design, found: dict[str, str]) -> bool:

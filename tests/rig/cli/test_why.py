@@ -260,3 +260,29 @@ def test_options():
         calib.WhyOptions(position_sigma=1e-5)
     with pytest.raises(RigError, match="above 0"):
         replace(calib.WhyOptions(), rotation_sigma=0.0)
+
+
+GANTRY = """<robot name="gantry"><link name="base"/><link name="a"/><link name="b"/><link name="tip"/>
+<joint name="X" type="prismatic"><parent link="base"/><child link="a"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.8" effort="1" velocity="1"/></joint>
+<joint name="Y" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="0.4" effort="1" velocity="1"/></joint>
+<joint name="Z" type="prismatic"><parent link="b"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="0.5" effort="1" velocity="1"/></joint></robot>
+"""
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["X [mm],Y [mm],Z [mm],x [mm],y [mm],z [mm]", "X axis,Y axis,Z axis,x,y,z", "q1,q2,q3,x,y,z", "X,Y,Z,px,py,pz"],
+)
+def test_slides_named_as_the_measured_coordinates_are_not_exchanged_with_them(tmp_path, header):
+    rng = np.random.default_rng(2)
+    slides = rng.uniform(0, [800, 400, 500], (20, 3))
+    measured = slides @ Rotation.from_rotvec([0.1, 0.2, 2.0]).as_matrix().T + [637, 219, 130]
+    table(tmp_path / "data.csv", header, (slides, measured))
+    (tmp_path / "gantry.urdf").write_text(GANTRY)
+    options = calib.WhyOptions(ArmFileOptions(tmp_path / "gantry.urdf"), settings=("poses.unit=mm",))
+    recording, _ = recording_and_whether_noise_is_assumed(tmp_path / "data.csv", options, tmp_path, lambda line: None)
+    assert np.abs(recording.commands.at(recording.exposures.times()[1]) - slides / 1e3).max() < 1e-9
+    assert np.abs(recording.poses.T_base_platform.translation - measured / 1e3).max() < 1e-9
