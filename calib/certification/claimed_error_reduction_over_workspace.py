@@ -19,7 +19,12 @@ from calib.certification.held_out_pose_error_statistics import HeldErrors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
 from calib.correction.interpolation.gaussian_process import Radial
-from calib.correction.machine_correction import AnyCorrection, Correction, solvable_commands_and_poses
+from calib.correction.machine_correction import (
+    AnyCorrection,
+    Correction,
+    indices_and_poses_of_solvable_commands,
+    solvable_commands_and_poses,
+)
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import Tolerance, expand_parameter_widths
 from calib.models.platform.platform_identification import (
     PRIOR,
@@ -255,9 +260,15 @@ def strut_machine_workspace_claim(
 def workspace_commands_and_corrected_poses(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:
     """Workspace commands, and the corrected machine's poses at them.
 
-    Returns (commands (m, axes) m, poses (m,) of the corrected machine)
+    They are commands that have a pose by the nominal model as well: near a singularity only one of the two may have it.
+    Returns (commands (m, axes) m, poses (m,) of the corrected machine). Raises NotConverged where none has both
     """
-    return solvable_commands_and_poses(evenly_spread_configurations(correction.nominal, PLACES), correction)
+    nominal = correction.nominal
+    commands, T = solvable_commands_and_poses(evenly_spread_configurations(nominal, PLACES), correction)
+    index, _ = indices_and_poses_of_solvable_commands(
+        commands, lambda some: mechanisms.kinematics_of(nominal).forward(some, nominal)
+    )
+    return commands[index], T[index]
 
 
 def draw_true_to_stated_pose_variance_ratio_of_fit(

@@ -10,13 +10,8 @@ import numpy as np
 
 from rig.array_and_json_types import Floats
 from rig.errors import FileError
-from rig.model.user_kinematics_file import (
-    FREEDOMS,
-    KinematicsFile,
-    axis_change_columns_by_freedom,
-    axis_change_columns_by_parameter,
-    run_kinematics_source_without_function_checks,
-)
+from rig.model.user_kinematics_file import FREEDOMS, KinematicsFile, run_kinematics_source_without_function_checks
+from rig.model.user_kinematics_file_derivatives import axis_change_columns_by_freedom, axis_change_columns_by_parameter
 
 TRIED = 6  # poses at which a file is checked
 AROUND = (4e-3, 0.02)  # m, rad; about home, where these lie

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.array_and_json_types import Floats, Integers
+from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 
 FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
@@ -30,6 +30,7 @@ OTHER = {"m": "millimetres", "rad": "degrees"}
 LARGEST_TOLERANCE = {"m": 0.05, "rad": 0.5}
 TINY = 1e-30  # m or rad, of a complex step
 STEP = 2e-4  # m or rad, of a difference
+NEARER = (1e-2, 1e-4)  # of it, where a difference leaves the reach of the axes
 STENCIL = ((1, 8 / 12), (-1, -8 / 12), (2, -1 / 12), (-2, 1 / 12))  # central difference of fourth order
 
 Unit = Literal["m", "rad"]
@@ -207,52 +208,17 @@ class KinematicsFile:
         """
         if self.complex_step:
             return np.asarray(np.imag(moved(TINY * 1j)) / TINY)
-        return cast(Floats, sum(weight * moved(k * self.shorter * step) for k, weight in STENCIL) / step / self.shorter)
+        out = _differences(moved, step * self.shorter)
+        for share in NEARER:
+            if np.isfinite(out).all():
+                break
+            out = np.where(np.isfinite(out), out, _differences(moved, step * self.shorter * share))
+        return out
 
 
-def finite_difference_step(tolerance: float) -> float:
-    """Step of finite differences for a parameter with a tolerance, in its unit."""
-    return 0.4 * tolerance if tolerance else STEP
-
-
-def axis_change_columns_by_freedom(file: KinematicsFile, poses: Floats, parameters: Floats) -> Floats:
-    """Columns (n, axes, freedoms) of the axes' change with the freedoms.
-
-    m or rad, along and about the base's axes, at poses (n, 4, 4).
-    """
-    out = np.empty((len(poses), len(file.axes), len(file.freedoms)))
-    for k, freedom in enumerate(file.freedoms):
-
-        def moved(s: float | complex, freedom: int = freedom) -> Floats:
-            at = poses.astype(type(s) if isinstance(s, complex) else float)
-            if freedom < 3:
-                at[:, freedom, 3] += s
-                return file.inverse(at, parameters)
-            at[:, :3, :3] = _turn(freedom - 3, s) @ poses[:, :3, :3]
-            return file.inverse(at, parameters)
-
-        out[..., k] = file.derivative(moved)
-    return out
-
-
-def axis_change_columns_by_parameter(
-    file: KinematicsFile, poses: Floats, parameters: Floats, parameter_indices: Integers
-) -> Floats:
-    """Columns (n, axes, k) of the axes' change with parameters.
-
-    Those of `parameter_indices` (k,), in their units.
-    """
-    out = np.empty((len(poses), len(file.axes), len(parameter_indices)))
-    tolerances = file.tolerances
-    for k, j in enumerate(parameter_indices.tolist()):
-
-        def moved(s: float | complex, j: int = j) -> Floats:
-            q = parameters.astype(type(s) if isinstance(s, complex) else float)
-            q[j] += s
-            return file.inverse(poses, q)
-
-        out[..., k] = file.derivative(moved, finite_difference_step(float(tolerances[j])))
-    return out
+def _differences(moved: Callable[[float | complex], Floats], step: float) -> Floats:
+    """Derivative (...) of moved(s) with s at 0 by differences of fourth order; NaN where these leave its reach."""
+    return cast(Floats, sum(weight * moved(k * step) for k, weight in STENCIL) / step)
 
 
 def _one(
@@ -270,16 +236,6 @@ def _one(
         if not re.match(r"math domain error|expected a \w+ (input|number)", str(error)):
             raise
         return np.full(shape, np.nan)
-
-
-def _turn(axis: int, angle: float | complex) -> Floats:
-    """(3, 3) rotation about a base axis, of a real or complex angle."""
-    out = np.eye(3, dtype=type(angle) if isinstance(angle, complex) else float)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    out[i, i] = out[j, j] = np.cos(angle)
-    out[j, i] = np.sin(angle)
-    out[i, j] = -out[j, i]
-    return out
 
 
 def run_kinematics_source_without_function_checks(source: str, name: str) -> KinematicsFile:

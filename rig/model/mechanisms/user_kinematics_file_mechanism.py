@@ -21,11 +21,8 @@ from rig.model.checked_loading_of_user_kinematics_file import (
 )
 from rig.model.mechanism_geometry_classes import FileMechanism
 from rig.model.mechanisms.hexapod_newton_and_least_squares_forward_solution import Observe
-from rig.model.user_kinematics_file import (
-    KinematicsFile,
-    axis_change_columns_by_freedom,
-    axis_change_columns_by_parameter,
-)
+from rig.model.user_kinematics_file import KinematicsFile
+from rig.model.user_kinematics_file_derivatives import axis_change_columns_by_freedom, axis_change_columns_by_parameter
 
 AXIS, UNIT = "axis", "m"
 SCALE = 5e-4  # m that a parameter's tolerance counts as, so that lengths and angles share one scale
