@@ -136,7 +136,7 @@ class Diagnosis(OneLineRepr):
     @property
     def measured_findings(self) -> tuple[MeasuredFinding, ...]:
         """The findings that were measured before anything was searched."""
-        return self.evidence.measured_findings if isinstance(self.evidence, MeasuredFindings) else ()
+        return self.evidence.measured_findings(self.effects) if isinstance(self.evidence, MeasuredFindings) else ()
 
     @property
     def machine_effects(self) -> tuple[Effect, ...]:

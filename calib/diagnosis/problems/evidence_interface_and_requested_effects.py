@@ -342,9 +342,8 @@ class ToleratedFindings(Protocol[Fit, C]):
 class MeasuredFindings(Protocol):
     """Capability: some findings are measured before the search."""
 
-    @property
-    def measured_findings(self) -> tuple[MeasuredFinding, ...]:
-        """Those findings."""
+    def measured_findings(self, found: tuple[Effect, ...]) -> tuple[MeasuredFinding, ...]:
+        """Those findings, beside the effects that the search found."""
 
     @property
     def effects_shown_by_instruments(self) -> tuple[Effect, ...]:

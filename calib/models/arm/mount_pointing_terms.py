@@ -9,8 +9,8 @@ Source: Wallace, TPOINT telescope pointing analysis system (terms and their sign
 Antennas Propag. 16, 1968
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,6 +45,7 @@ ALTAZIMUTH: dict[str, tuple[str, Column]] = {
     "AW": ("azimuth axis tilted to the west", lambda a, e: (-np.cos(a) * np.sin(e), np.sin(a))),
     FLEXURE: ("tube flexure", lambda a, e: (0 * e, -np.cos(e))),
 }
+SHARED = "TF is not stated: it and the other effect at joint 2 both go with E, and only their sum is determined"
 EQUATORIAL: dict[str, tuple[str, Column]] = {
     "IH": ("index error in hour angle", lambda h, d: (np.cos(d), 0 * d)),
     "ID": ("index error in declination", lambda h, d: (0 * d, 1 + 0 * d)),
@@ -130,14 +131,23 @@ def pointing_terms(design: Design, calibration: Calibration, commanded: Floats) 
     """
     stated, fitted = require_arm(design.mechanism), calibration.correction.fitted
     physics = calibration.physics
-    flexure = None
+    flexure, shared = None, False
     if physics is not None and sum(one.form == "load" for one in physics.effects) == 1:
         for k, c in enumerate(physics.coordinates):
             effect = physics.effects[c.effect]
             if _is_flexure(effect, stated):
-                flexure = (float(c.read(effect)), float(physics.own[k, k]))
+                shared = shares_angle_with_another_effect(effect, physics.effects)
+                flexure = None if shared else (float(c.read(effect)), float(physics.own[k, k]))
     assert isinstance(fitted, Arm)
-    return pointing_terms_of_parameters(stated, fitted, calibration.covariance, commanded, design.gravity, flexure)
+    terms = pointing_terms_of_parameters(stated, fitted, calibration.covariance, commanded, design.gravity, flexure)
+    return replace(terms, lines=(SHARED, *terms.lines[1:])) if terms is not None and shared else terms
+
+
+def shares_angle_with_another_effect(effect: Effect, effects: Iterable[Effect]) -> bool:
+    """Whether another of the effects turns the same joint as a function of its own angle, so that only the sum of both
+    is determined.
+    """
+    return any(other.place == effect.place and other.own_axis for other in effects if other is not effect)
 
 
 def _is_flexure(effect: Effect, arm: Arm) -> bool:

@@ -169,9 +169,9 @@ class ArmEvidence(FieldSummaryRepr):
     noise_times: dict[str, Value] = field(default_factory=dict)
     instrument_fit: JointFit | None = None
 
-    @property
-    def measured_findings(self) -> tuple[MeasuredFinding, ...]:
-        return () if self.instrument_fit is None else findings_of_effects_fitted_before_search(self.instrument_fit)
+    def measured_findings(self, found: tuple[Effect, ...]) -> tuple[MeasuredFinding, ...]:
+        fit = self.instrument_fit
+        return () if fit is None else findings_of_effects_fitted_before_search(fit, found)
 
     @property
     def effects_shown_by_instruments(self) -> tuple[Effect, ...]:
@@ -326,7 +326,8 @@ def arm_evidence(
             "--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording"
         )
     known = sample_recording(recording, progress=progress, several_hands=True) if sampled is None else sampled
-    fresh = known.samples.known is None and known.samples.tilts is not None
+    shown = known.samples.tilts is not None or known.samples.measured == "direction"
+    fresh = known.samples.known is None and shown
     instrument_fit = fit_of_effects_shown_by_instruments(recording, known) if fresh else None
     if instrument_fit is not None:
         known = replace(known, samples=instrument_fit.samples)

@@ -30,7 +30,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 from calib.models.arm.arm_certification import UNPLACED, start_arm_of_fit
 from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import History, JointFit, fit_geometry_and_effects
-from calib.models.arm.mount_pointing_terms import tube_flexure_effect
+from calib.models.arm.mount_pointing_terms import shares_angle_with_another_effect, tube_flexure_effect
 from calib.samples.commanded_and_measured_pose_samples import Sampled
 from rig.array_and_json_types import Floats
 from rig.effects.catalogue.effect_list import lean_under_link_weight
@@ -313,14 +313,22 @@ def fit_of_effects_shown_by_instruments(recording: Recording, sampled: Sampled) 
     return fit_geometry_and_effects(samples, history, start, effects)
 
 
-def findings_of_effects_fitted_before_search(fit: JointFit) -> tuple[MeasuredFinding, ...]:
+def findings_of_effects_fitted_before_search(
+    fit: JointFit, found: tuple[Effect, ...] = ()
+) -> tuple[MeasuredFinding, ...]:
     """Findings of effects that were fitted before the search.
 
     They have 95 % intervals; of a lean its RMS is first.
+    found : effects that the search found, with which they are fitted anew: beside these they may be other ones. One
+        that cannot be separated from these is left out
     """
-    out = list[MeasuredFinding]()
+    out, count = list[MeasuredFinding](), len(fit.effects)
+    if found:
+        fit = fit_geometry_and_effects(fit.measured, fit.history, fit.arm, (*fit.effects, *found), fit.before)
     coordinates, sigma = fit_coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
-    for number, effect in enumerate(fit.effects):
+    for number, effect in enumerate(fit.effects[:count]):
+        if shares_angle_with_another_effect(effect, found):
+            continue
         parameters = dict[str, Value]()
         before, after = fit.measured.tilts, fit.samples.tilts
         if type(effect).lean is not Effect.lean and before is not None and after is not None:

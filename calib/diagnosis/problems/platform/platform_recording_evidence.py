@@ -214,8 +214,7 @@ class PlatformEvidence(FieldSummaryRepr):
         k = selection.fit.refined.point
         return k.design if k.axes else None
 
-    @property
-    def measured_findings(self) -> tuple[MeasuredFinding, ...]:
+    def measured_findings(self, found: tuple[Effect, ...]) -> tuple[MeasuredFinding, ...]:
         swapped = [
             MeasuredFinding(type(e), e.place, {name: Value(value, "") for name, value in e.values().items()})
             for e in self.swapped

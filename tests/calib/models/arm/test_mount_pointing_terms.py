@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.api.calibrate import CalibrateOptions, calibrate
+from calib.api.diagnose import diagnose
 from calib.certification.held_out_pose_error_statistics import pose_errors
 from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
 from calib.models.arm.arm_error_model_and_instrument_observations import Observations, arm_with_parameter_step
@@ -167,3 +168,25 @@ def test_a_base_turned_in_any_way_is_placed_by_stars():
 def test_an_arm_of_three_joints_has_no_pointing_terms():
     arm = Arm(np.zeros((3, 4)), np.tile([-1.0, 1.0], (3, 1)))
     assert pointing_terms_of_parameters(arm, arm, np.eye(27), np.zeros((4, 3)), GRAVITY, None) is None
+
+
+def test_flexure_of_the_tube_is_found_as_itself_and_doubts_no_calibration(tmp_path):
+    """Stars of a mount with TF alone beyond its geometry: a line in E would explain most of it as well."""
+    found = diagnose(starred(tmp_path / "rec", 11, 100)).report.findings
+    assert [(f.effect, f.place) for f in found] == [("compliance", "joint 2")]
+    low, high = np.ravel(found[0].parameters["moments"].ci95) * GRAVITY[2]
+    assert low < TRUE["TF"] < high
+
+
+def test_flexure_is_not_stated_where_another_function_of_elevation_hides_it(tmp_path):
+    """6 arc seconds over tan E, in no catalogue: flexure fitted without it, or beside it, would be a wrong figure."""
+    recording = starred(tmp_path / "rec", 12, 120, extra=lambda q: 9 * ARCSEC / np.tan(q[:, 1]))
+    diagnosed = diagnose(recording)
+    places = [(f.effect, f.place) for f in diagnosed.report.findings]
+    assert ("compliance", "joint 2") not in places and [place for _, place in places] == ["joint 2"]
+    diagnosed.write(tmp_path)
+    terms = calibrate(recording, CalibrateOptions(diagnosis=tmp_path)).pointing_terms
+    assert "TF" not in terms.names and any("TF is not stated" in line for line in terms.lines)
+    for name in ("AN", "AW", "CA"):
+        k = terms.names.index(name)
+        assert abs(terms.values[k] - TRUE[name]) < 4 * terms.sigma[k]
