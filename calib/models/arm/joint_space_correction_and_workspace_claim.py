@@ -363,10 +363,11 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = sobol_configurations(seen, PLACES, FILL)
     hand = None if retained.hand is None else np.arange(len(q)) % hands  # the hands in turn
+    moved = q + _linear_part_of_known_physics(samples, q)
     T = (
-        correction.predict(q)
+        correction.predict(moved)
         if hand is None
-        else predicted_target_poses(q - correction.rho(q), correction.fitted, hand)
+        else predicted_target_poses(moved - correction.rho(q), correction.fitted, hand)
     )
     stated = mean_square_pose_errors_stated_by_extension(correction, q, joint_jacobian(q, found.arm, hand))
     own = certified.left.own_draws(float(stated[0]), DRAWS, rng) if certified.left is not None else stated
@@ -391,3 +392,17 @@ def arm_workspace_claim(samples: Samples, certified: CertifiedArm, rng: np.rando
         claim_from_machine_draws(workspace, draws, each, information, rng),
         unexplained=unexplained_scatter_sentences(repeated.scatter, observed.covariance),
     )
+
+
+def _linear_part_of_known_physics(samples: Samples, q: Floats) -> Floats:
+    """(m, axes) m or rad that known physics adds at commands q (m, axes), as far as it is linear in the commands.
+
+    Geometry and physics may exchange that much of each other, as squareness and a coupling of two slides do: without it
+    the geometry alone would be another machine than the one that was measured.
+    """
+    if samples.known is None:
+        return np.zeros_like(q)
+    middle = samples.commanded.mean(axis=0)
+    visited = np.column_stack([np.ones(len(samples)), samples.commanded - middle])
+    linear = np.linalg.lstsq(visited, samples.known, rcond=None)[0]
+    return np.asarray(np.column_stack([np.ones(len(q)), q - middle]) @ linear)
