@@ -89,14 +89,23 @@ def residual_dispersion(
     moved = np.einsum("fa,far->fr", weights @ coefficients, along)
     contributions = np.einsum("far,fa->fr", seen, own) - leakage + moved
     freed = (pushed.reshape(F * a, q) @ half).reshape(F, a, rank) - along
-    # (F, r, r) of the directions, nuisances taken out
-    shares = np.swapaxes(np.concatenate([seen, -along], axis=1), 1, 2) @ np.concatenate([freed, seen], axis=1) + carried
-    expected, freedom = _expected(shares)
-    if correlated_frames > 1:
-        starts = np.arange(0, F, correlated_frames)
-        several = _expected(np.add.reduceat(shares, starts, axis=0))
-        if several[1] >= FEW:
-            (expected, freedom), contributions = several, np.add.reduceat(contributions, starts, axis=0)
+    left, right = np.concatenate([seen, -along], axis=1), np.concatenate([freed, seen], axis=1)
+
+    def shares(starts: Integers) -> Floats:
+        """(groups, r, r) of the directions, nuisances taken out, of frames from starts on, as many in each group."""
+        count = len(starts), -(-F // len(starts)) * left.shape[1], rank
+        a, b = np.zeros(count).reshape(-1, rank), np.zeros(count).reshape(-1, rank)
+        a[: F * left.shape[1]], b[: F * left.shape[1]] = left.reshape(-1, rank), right.reshape(-1, rank)
+        return np.asarray(
+            np.swapaxes(a.reshape(count), 1, 2) @ b.reshape(count) + np.add.reduceat(carried, starts, axis=0)
+        )
+
+    starts = np.arange(0, F, correlated_frames)
+    expected, freedom = _expected(shares(starts))
+    if correlated_frames > 1 and freedom < FEW:
+        starts = np.arange(F)
+        expected, freedom = _expected(shares(starts))
+    contributions = np.add.reduceat(contributions, starts, axis=0)
     if expected < SWALLOWED * rank:  # one frame shows it all, and nothing of how frames differ
         return Dispersion(1.0, 1.0)
     ratio = float((contributions**2).sum()) / expected
