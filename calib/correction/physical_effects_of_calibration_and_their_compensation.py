@@ -18,7 +18,7 @@ from calib.correction.machine_correction import AnyCorrection
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import Route
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import LINEAR, MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.errors import NotConverged, RigError
@@ -151,6 +151,16 @@ class Physics:
     def compensable_effects(self) -> tuple[Effect, ...]:
         """The effects of the machine's motion that it shows again, so that commands undo them."""
         return tuple(e for e in self.effects if e.lasting and e.stage in MOTION_STAGES)
+
+    def sizeless_effects(self) -> tuple[Effect, ...]:
+        """Those of the compensable effects that have no size where the geometry is fitted with them: nothing is undone
+        of them.
+        """
+        sizes = {
+            e: [c.read(e) for c in fit_coordinates_of_effects((e,)) if c.role in (*LINEAR, "size")]
+            for e in self.compensable_effects()
+        }
+        return tuple(e for e, values in sizes.items() if values and not any(values))
 
     def scattering(self) -> tuple[Effect, ...]:
         """Those that it shows again, at no moment that anybody knows: what happened once is over."""

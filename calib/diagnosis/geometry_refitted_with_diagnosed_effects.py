@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from calib.certification.platform_certification import (
@@ -33,11 +34,14 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
     refine_operating_point,
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
+    OperatingPoint,
     operating_point_of_recording,
     remove_corners_far_from_prediction,
 )
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
+    find_outliers,
     operating_point_with_marker_swaps_corrected,
+    operating_point_without_outliers,
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
@@ -80,11 +84,11 @@ class Findings:
 class PlatformRefit:
     """samples : Samples with what the physics adds to their commands; physics : Physics, of which the geometry does not
     know yet
-    refined : Refinement that it comes from."""
+    point : OperatingPoint of all samples, with the geometry that was refined with the physics."""
 
     samples: Samples
     physics: Physics
-    refined: Refinement
+    point: OperatingPoint
 
     def with_geometry(self, done: Certified) -> tuple[Physics, Floats]:
         """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics
@@ -123,7 +127,7 @@ class PlatformRefit:
 
     def _columns(self) -> Floats:
         """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
-        k, effects = self.refined.point, self.physics.effects
+        k, effects = self.point, self.physics.effects
         out = []
         for c in fit_coordinates_of_effects(effects):
             high, low = c.around(effects[c.effect])
@@ -234,28 +238,46 @@ def refit_platform_with_findings(
 ) -> PlatformRefit:
     """Refit a platform with findings to a recording's samples (PlatformRefit).
 
-    Cameras, geometry and the findings' parameters fitted together.
+    Cameras, geometry and the findings' parameters fitted together, without what is wild beside the findings, as a
+    diagnosis leaves it out.
     Raises RigError for a machine without struts, and what refining raises
     """
     nominal = require_parallel(recording.design.mechanism)
     report = progress or silent_progress
     report("refining physics and geometry jointly", 0, 1)
     point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
-    point = remove_corners_far_from_prediction(
-        operating_point_with_marker_swaps_corrected(point, [e for e in findings.effects if e.discrete])
-    )
-    refined = refine_operating_point(
-        point.with_effects(e for e in findings.effects if not e.discrete), Sensitivities(point)
-    )
+    point = operating_point_with_marker_swaps_corrected(point, [e for e in findings.effects if e.discrete])
+    point = point.with_effects(e for e in findings.effects if not e.discrete)
+    wild = find_outliers(point, _pose_covariance(point, sampled))
+    retained = remove_corners_far_from_prediction(operating_point_without_outliers(point, wild))
+    refined = refine_operating_point(retained, Sensitivities(retained.with_effects(())))
     refined, unknown = refinement_with_curves_for_unexplained(refined, findings.unknown)
     effects, own = _combined(refined, findings)
     report("refining physics and geometry jointly", 1, 1)
-    k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
+    k, samples = _at_all_frames(refined.point, point).with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
         samples = samples_of_movable_coordinates(replace(samples, T_base_platform=k.T), recording.design.mechanism)
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     physics = _physics(effects, own, unknown, len(geometric_parameters(nominal)), recording, samples.t)
-    return PlatformRefit(replace(samples, known=known), physics, refined)
+    return PlatformRefit(replace(samples, known=known), physics, k)
+
+
+def _pose_covariance(point: OperatingPoint, sampled: Sampled) -> Floats:
+    """(F, 6, 6) covariance of a point's poses, measured by an instrument or by cameras."""
+    if point.own is not None:
+        return point.own
+    if sampled.measurement is None:
+        raise ValueError("poses that no instrument measured come with the measurement by cameras")
+    return sampled.measurement.covariance
+
+
+def _at_all_frames(refined: OperatingPoint, point: OperatingPoint) -> OperatingPoint:
+    """A point with the design, poses and effects of one that was refined with fewer of its frames; poses of the others
+    stay.
+    """
+    poses = point.T.as_matrix().copy()
+    poses[np.searchsorted(point.frames, refined.frames)] = refined.T.as_matrix()
+    return replace(point, design=refined.design, T=RigidTransform.from_matrix(poses), effects=refined.effects)
 
 
 def _combined(refined: Refinement, findings: Findings) -> tuple[tuple[Effect, ...], Floats]:

@@ -307,11 +307,12 @@ def _print_physics(physics: Physics | None) -> None:
     """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
     if physics is None:
         return
-    repeated, known = (
-        physics.compensable_effects(),
-        [f"{e.label()} at {e.place}" for e in physics.compensable_effects()],
-    )
+    repeated, sizeless = physics.compensable_effects(), physics.sizeless_effects()
+    known = [f"{e.label()} at {e.place}" for e in repeated if e not in sizeless]
     print("effects compensated by commands: " + (", ".join(known) or "none"))
+    if sizeless:
+        named = ", ".join(f"{e.label()} at {e.place}" for e in sizeless)
+        print(f"found, and of no size where the geometry is fitted with it, so that no command changes: {named}")
     left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in repeated]
     if left:
         print(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")

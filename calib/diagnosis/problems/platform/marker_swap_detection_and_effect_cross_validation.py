@@ -74,7 +74,7 @@ BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
 SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
-def _find_outliers(point: OperatingPoint, covariance: Floats) -> Outliers:
+def find_outliers(point: OperatingPoint, covariance: Floats) -> Outliers:
     """Outliers of an OperatingPoint, with the effects that it has. covariance : (F, 6, 6) of its poses"""
     wild = _wild_corners(point) if point.seen is not None else Outliers()
     if not point.axes:
@@ -82,7 +82,7 @@ def _find_outliers(point: OperatingPoint, covariance: Floats) -> Outliers:
     return wild.with_more(_wild_frames(point, covariance), len(point.frames), "frames")
 
 
-def _without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
+def operating_point_without_outliers(point: OperatingPoint, wild: Outliers) -> OperatingPoint:
     """OperatingPoint without what is wild; what was commanded stays, since it moved the rig."""
     seen = point.seen
     if seen is not None and wild.sightings:

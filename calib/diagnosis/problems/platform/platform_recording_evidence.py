@@ -45,12 +45,12 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
-    _find_outliers,
-    _without_outliers,
     cross_validate_effect_by_regions,
     cross_validate_effects_for_each_residual_block,
     find_marker_swaps,
+    find_outliers,
     operating_point_with_marker_swaps_corrected,
+    operating_point_without_outliers,
 )
 from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
     closure_residuals,
@@ -113,10 +113,10 @@ class PlatformEvidence(FieldSummaryRepr):
         return "struts"
 
     def gross_outliers(self) -> Outliers:
-        return _find_outliers(self.point, self.covariance)
+        return find_outliers(self.point, self.covariance)
 
     def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotTested]]:
-        point = remove_corners_far_from_prediction(_without_outliers(self.point, outliers))
+        point = remove_corners_far_from_prediction(operating_point_without_outliers(self.point, outliers))
         candidates, not_tested = platform_candidates(point, self.requested)
         return PlatformProblem(
             point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_tested)
@@ -124,7 +124,7 @@ class PlatformEvidence(FieldSummaryRepr):
 
     def outliers(self, fit: PlatformFit, known: Outliers) -> Outliers:
         at, frames = fit.refined.point, self.point.frames
-        more = _find_outliers(at, self.covariance[np.searchsorted(frames, at.frames)])
+        more = find_outliers(at, self.covariance[np.searchsorted(frames, at.frames)])
         return known.with_more(more, len(frames), "frames")
 
     def set_apart_tolerable(
