@@ -149,9 +149,24 @@ class WhyResult:
         if places:
             more = f" and {len(places) - MENTIONED} more" if len(places) > MENTIONED else ""
             parts.append(f"nothing we know explains the rest (at {_joined_places(places[:MENTIONED])}{more})")
+        elif self._noise_excess:
+            parts.append(
+                f"poses scatter {self._noise_excess} as much as the {self._noise_word} noise: it is larger, or "
+                "something moves the machine at random, which these poses do not distinguish"
+            )
         elif not parts:
             parts.append("nothing beyond the noise was found")
         return "; ".join(parts)
+
+    @property
+    def _noise_word(self) -> str:
+        return "assumed" if self.noise_is_assumed else "stated"
+
+    @property
+    def _noise_excess(self) -> str:
+        """Factors by which poses surely scatter beyond their stated noise, "" for none."""
+        factors = self.diagnosed.report.noise_times.items()
+        return " and ".join(f"{v.value:.2g} times in {kind}" for kind, v in factors if v.ci95 and v.ci95[0] > 1)
 
     def _how_sure(self) -> str:
         held, floor = self.calibrated.calibration.held_out, []
@@ -164,10 +179,11 @@ class WhyResult:
         stated = ", assumed: --position-sigma and --rotation-sigma state it" if self.noise_is_assumed else ""
         noise = held.floor[0] if math.isfinite(held.floor[0]) else held.floor[1]
         unit = _length(noise) if math.isfinite(held.floor[0]) else _angle(noise)
-        floor.append(f"measurement noise {unit}{stated}")
+        exceeded = f", which the residuals exceed: {self._noise_excess}" if self._noise_excess else ""
+        floor.append(f"{'no floor is known: ' if exceeded else ''}measurement noise {unit}{stated}{exceeded}")
         return (
             f"after calibration {_size(held.after)} on the same held-out poses, {ratio_interval_text(held.ratio)}; "
-            f"floor: {'; '.join(floor)}"
+            f"{'' if exceeded else 'floor: '}{'; '.join(floor)}"
         )
 
     def _to_do(self) -> str:

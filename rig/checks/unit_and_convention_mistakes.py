@@ -50,6 +50,16 @@ def sensor_channel_unit_and_name_mistakes(log: Sensors, design: Design) -> Itera
                 False,
                 0.6,
             )
+    for name in log.channels:
+        if "temp" in name.lower() and not name.endswith("_temperature_C"):
+            places = mechanisms.axis_place_texts(design.mechanism) if design.mechanism.axes else ()
+            own = "".join(f" or {place.replace(' ', '')}_temperature_C, of its axis," for place in places[:1])
+            yield Mistake(
+                f"sensors.csv: {name} is by its name a temperature that no effect follows",
+                f"Name it ambient_temperature_C, of the whole machine or its room,{own} in degrees Celsius",
+                False,
+                0.6,
+            )
     room = log.channels.get("ambient_temperature_C")
     if room is not None and FAHRENHEIT[0] < np.median(room) < FAHRENHEIT[1]:
         yield Mistake(

@@ -249,7 +249,7 @@ def _foreign(folder, design):
         Reader(
             "foreign commands",
             (german, plain),
-            lambda path: importers.foreign_command_and_sensor_tables.read_commands(ForeignTable(path), design),
+            lambda path: importers.foreign_command_table.read_commands(ForeignTable(path), design),
         ),
         Reader(
             "foreign poses",
@@ -266,7 +266,7 @@ def _foreign(folder, design):
         Reader(
             "foreign sensors",
             (log,),
-            lambda path: importers.foreign_command_and_sensor_tables.read_sensors(
+            lambda path: importers.foreign_sensor_table.read_sensors(
                 ForeignTable(path), lambda t: True, design.mechanism
             ),
         ),

@@ -15,7 +15,7 @@ from rig.checks.mistake_dataclass_and_clock_mistakes import STILL
 from rig.errors import RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.foreign_command_and_sensor_tables import ImportedCommands
+from rig.formats.importers.foreign_command_table import ImportedCommands
 from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import seconds_since_origin
 
 HELD, MOVING = "held", "moving"  # what is stated of rows

@@ -193,6 +193,9 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
         if key not in ("schema", "said", *known):
             root.fail(f"unknown key {short_repr(key)}; there are {', '.join(known)}", key)
     bag = _bag(root.table("bag"), folder) if "bag" in root.tree else None
+    files = {root.table(name).tree.get("file") for name in ("commands", "poses") if name in root.tree}
+    if "sensors" in root.tree and len(files) == 1 and bag is None:  # columns of the one table that there is
+        root.table("sensors").tree.setdefault("file", files.pop())
     stated: dict[str, Any] = {
         name: _foreign_table(root.table(name), folder, bag) for name in TABLES if name in root.tree
     }

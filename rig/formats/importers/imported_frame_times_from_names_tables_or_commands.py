@@ -16,7 +16,7 @@ from rig.errors import FileError, RigError
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
 from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.foreign_command_and_sensor_tables import ImportedCommands
+from rig.formats.importers.foreign_command_table import ImportedCommands
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     CAMERA,

@@ -19,13 +19,9 @@ from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.commands_held_at_poses import commands_held_at_poses
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.foreign_command_and_sensor_tables import (
-    ImportedCommands,
-    ImportedSensors,
-    read_commands,
-    read_sensors,
-)
+from rig.formats.importers.foreign_command_table import ImportedCommands, read_commands
 from rig.formats.importers.foreign_pose_table import ImportedPoses, read_poses
+from rig.formats.importers.foreign_sensor_table import ImportedSensors
 from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
 from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import (
@@ -35,6 +31,7 @@ from rig.formats.importers.imported_frame_times_from_names_tables_or_commands im
     require_exposures_and_commands_on_one_clock,
     seconds_since_origin,
 )
+from rig.formats.importers.sensor_columns_of_command_and_pose_tables import sensors_and_unread_columns
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import read_bytes, read_text
 from rig.formats.output_files import write_bytes
@@ -165,8 +162,10 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     _refuse_unused_options(recipe, skip_unreadable)
     if posed is not None and posed.alone and design.instrument is not None and design.instrument.rotation_sigma:
         rig, of_cameras = _without_rotation_sigma(recipe, rig), (*of_cameras, NO_ROTATIONS)
-    commanded = commands_held_at_poses(exposed, _clocked(exposed, commanded))
-    logged = read_sensors(recipe.sensors, _like(exposed.t), design.mechanism) if recipe.sensors else None
+    commanded = _clocked(exposed, commanded)
+    at = dict(zip(exposed.frame, exposed.times()))
+    logged, unread = sensors_and_unread_columns(recipe, at, commanded, posed, design.mechanism, _like(exposed.t))
+    commanded = commands_held_at_poses(exposed, commanded)
     require_exposures_and_commands_on_one_clock(exposed, commanded)
     recipe = replace(
         recipe,
@@ -178,6 +177,7 @@ def _assembled(recipe: Recipe, skip_unreadable: bool) -> ImportedRecording:
     lines = (
         *of_cameras,
         *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.remarks),
+        *unread,
     )
     return ImportedRecording(design, exposed, commanded, posed, logged, replace(recipe, remarks=lines), lines, rig)
 

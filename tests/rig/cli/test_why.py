@@ -286,3 +286,13 @@ def test_slides_named_as_the_measured_coordinates_are_not_exchanged_with_them(tm
     recording, _ = recording_and_whether_noise_is_assumed(tmp_path / "data.csv", options, tmp_path, lambda line: None)
     assert np.abs(recording.commands.at(recording.exposures.times()[1]) - slides / 1e3).max() < 1e-9
     assert np.abs(recording.poses.T_base_platform.translation - measured / 1e3).max() < 1e-9
+
+
+def test_noise_that_residuals_exceed_is_no_floor(arm, tmp_path):
+    """The same poses, whose noise is stated a third of what it is."""
+    sigma = "--position-sigma", f"{SIGMA[0] / 3 * 1e6:g}um", "--rotation-sigma", f"{SIGMA[1] / 3 * 1e3:g}mrad"
+    done = run("why", arm / "data.csv", "--urdf", arm / "arm.urdf", *sigma, "--out", tmp_path / "out")
+    lines = done.stdout.splitlines()
+    assert "floor:" not in lines[2] and "which the residuals exceed: " in lines[2], lines[2]
+    assert "times in position" in lines[2]
+    assert "nothing beyond the noise" not in lines[1]

@@ -8,7 +8,7 @@ import pytest
 
 from rig.errors import FileError, RigError
 from rig.formats.importers import import_recipe, recording_import
-from rig.formats.importers.foreign_command_and_sensor_tables import read_sensors
+from rig.formats.importers.foreign_sensor_table import read_sensors
 from rig.formats.local_and_remote_input_files import open_regular_file
 from rig.model.mechanisms import hexapod
 from rig.model.pose import exp
@@ -226,7 +226,7 @@ def test_a_recipe_repeats_a_reading_by_travel(tmp_path):
         ("room [°C]", ["ambient_temperature_C"]),
         ("T_ambient [K]", ["ambient_temperature_C"]),
         ("L1 [°C]", ["L1_C"]),
-        ("spindle temp [C]", ["spindle_temp_C"]),
+        ("spindle temp [C]", ["spindle_temperature_C"]),
     ],
 )
 def test_temperatures_get_the_names_by_which_they_count(tmp_path, header, names):

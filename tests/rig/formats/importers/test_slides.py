@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.formats.importers.foreign_command_and_sensor_tables import read_commands
+from rig.formats.importers.foreign_command_table import read_commands
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.planning.layout import shipped_arms_and_layouts
 

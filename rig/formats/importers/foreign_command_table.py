@@ -1,26 +1,21 @@
-"""Foreign tables of commands and of sensors.
+"""Foreign tables of commands.
 
-Read into a recording's commands.csv and sensors.csv.
+Read into a recording's commands.csv.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from functools import partial
-from typing import cast
 
 import numpy as np
 
 from rig.array_and_json_types import Floats, Integers
 from rig.checks.mistake_dataclass_and_clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
-from rig.formats.checked_toml_and_json_entries import rig_part_name_problem
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     DIRECTION,
     FRAME,
-    LIMB,
     TIME,
     Cells,
     accepted_header_names_of_axes,
@@ -32,109 +27,12 @@ from rig.formats.importers.foreign_table_units_and_timestamps import (
     fits_ranges_within_a_tenth,
     is_likely_length_unit,
     likely_length_units_and_zeros,
-    split_header,
 )
 from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, Mechanism, has_struts, require_axes
-
-
-def _over(per: float, values: Floats) -> Floats:
-    return values / per
-
-
-TO_SI: dict[str, Callable[[Floats], Floats]] = {
-    "C": lambda v: v,
-    "K": lambda v: v - 273.15,
-    "F": lambda v: (v - 32) / 1.8,
-    "kg": lambda v: v,
-    "g": lambda v: v / 1000,
-    **{unit: partial(_over, per) for unit, per in LENGTHS.items()},
-}
-SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImportedSensors:
-    """t : n exact s; channels : pairs (name, (n,) values)."""
-
-    t: list[Decimal]
-    channels: tuple[tuple[str, Floats], ...]
-    table: ForeignTable
-    remarks: tuple[str, ...]
-
-
-def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], mechanism: Mechanism) -> ImportedSensors:
-    """Read the sensor channels of a foreign table.
-
-    are_plausible : whether times (n,) s from the first can be so; mechanism : whose struts a temperature may be of
-    Raises RigError for what cannot be used.
-    """
-    cells = read_foreign_table_header_and_cells(table, "sensors")
-    stated = {header: [ours for ours, other in table.columns if other == header] for _, header in table.columns}
-    found = column_indices_by_headers(cells, "sensors", TIME, ("t",))
-    read_times = cells.times(found["t"], "sensors", table, are_plausible)
-    retained, renamed = [("t", cells.header[found["t"]])], []
-    channels: list[tuple[str, Floats]] = []
-    for at, header in enumerate(cells.header):
-        if at == found["t"]:
-            continue
-        unit = cells.unit(at)
-        values = TO_SI.get(unit or "", cast(Callable[[Floats], Floats], lambda v: v))(np.array(cells.numbers(at)))
-        names = stated.get(header) or _names(header, unit, len(mechanism.axes) if has_struts(mechanism) else 0)
-        for name in names:
-            if rig_part_name_problem(name):
-                raise RigError(
-                    f"{table.file}: column {rig_part_name_problem(name)}; --set 'sensors.columns.NAME={header}' names "
-                    "it"
-                )
-            if name in dict(channels) or name == "t":
-                raise RigError(
-                    f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of "
-                    "them"
-                )
-            channels.append((name, values))
-            retained.append((name, header))
-        if names != [header]:
-            converted = unit in TO_SI and unit not in ("C", "kg", "m")
-            renamed.append(f"{header} is {', '.join(names)}" + (f", from {unit}" if converted else ""))
-    lines = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
-    return ImportedSensors(
-        read_times.seconds,
-        tuple(channels),
-        replace(cells.table, columns=tuple(retained), time_unit=read_times.unit, zone=read_times.zone),
-        (*cells.remarks, *read_times.remarks, *lines),
-    )
-
-
-TEMPERATURE = r"(t|temp|temperatur|temperature|temperatura)"
-ROOM = r"(ambient|room|air|lab|laboratory|hall|raum|luft|umgebung|umgebungs|raumluft|halle|aire|ambiante|sala)"
-
-
-def _names(header: str, unit: str | None, struts: int) -> list[str]:
-    """Names of a channel out of a header: words joined, its unit as a recording has it behind it. A temperature of legs
-    without a number is that of each of so many struts.
-    """
-    bare = split_header(header)[0] if unit else header
-    name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
-    if unit not in SI:
-        return [name]
-    word = name.lower().replace("_", "")
-    limb = re.fullmatch(rf"{TEMPERATURE}?({'|'.join(LIMB)})s?([1-9]?){TEMPERATURE}?", word)
-    camera = re.fullmatch(rf"(?i)(camera_.+)_{TEMPERATURE}", name)
-    names = [name]
-    if SI[unit] == "C" and re.fullmatch(rf"{TEMPERATURE}?{ROOM}{TEMPERATURE}?", word):
-        names = ["ambient_temperature"]
-    elif SI[unit] == "C" and limb and (limb[1] or limb[4] or len(limb[2]) > 2):
-        own = range(1, struts + 1) if not limb[3] else [int(limb[3])]
-        names = [f"strut{i}_temperature" for i in own] or names
-    elif camera:
-        names = [f"{camera[1]}_temperature"]
-    elif re.fullmatch(r"(?i)payload(_mass)?", name):
-        names = ["payload_mass"]
-    return [f"{one}_{SI[unit]}" for one in names]
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, has_struts, require_axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
