@@ -212,7 +212,7 @@ def finding_parameters(
         name = spec.linear[0].name
         level = theta - theta.mean() if candidate.form is Form.PROFILE else theta
         out = {
-            "rms": _scaled(fit.part(number), theta, covariance, one, unit),
+            "rms": _rms(fit, number, covariance, unit),
             name: Value(
                 level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()]
             ),
@@ -248,11 +248,19 @@ def axis_unit(fit: Fit, joint: int | None) -> str:
     return "rad" if joint is None else fit.arms.context.moved().units[joint]
 
 
-def _scaled(moved: Floats, theta: Floats, covariance: Floats, one: Term, unit: str) -> Value:
-    """The RMS, about its mean, of what a term does to its joint, with an interval to first order."""
-    w = one.weights[:, 0] - one.weights[:, 0].mean(axis=0)
-    value = float((moved - moved.mean()).std())
-    slope = w.T @ (w @ theta) / len(w) / max(value, 1e-300)
+def _rms(fit: Fit, number: int, covariance: Floats, unit: str) -> Value:
+    """The RMS of what a term does to its joint, with an interval to first order: of that which the geometry cannot do
+    as well, by the poses that it leaves. The rest is known as badly as the geometry, and none of the term's.
+    """
+    one, theta = fit.terms[number], fit.theta[fit.slices[number]]
+    if one.candidate.joint is None:  # it moves the tool
+        moved, w = fit.part(number), one.weights[:, 0] - one.weights[:, 0].mean(axis=0)
+        value, squares = float(moved.std()), w.T @ w / len(w)
+    else:
+        left = _seen(fit.without_terms(range(len(fit.terms))), one, one.weights)[0]
+        squares = left.T @ left / ((fit.W @ fit.arms.directions(one.candidate.joint))[fit.used] ** 2).sum()
+        value = float(np.sqrt(theta @ squares @ theta))
+    slope = squares @ theta / max(value, 1e-300)
     sigma = float(np.sqrt(max(slope @ covariance @ slope, 0)))
     return Value(value, unit, [max(value - Z95 * sigma, 0.0), value + Z95 * sigma])
 

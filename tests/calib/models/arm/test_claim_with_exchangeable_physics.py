@@ -58,3 +58,12 @@ def test_the_error_before_is_that_of_the_machine_and_not_of_its_geometry_alone(t
     diagnosed.write(tmp_path / "found")
     claim = calibrate(recording, CalibrateOptions(diagnosis=tmp_path / "found")).calibration.claim
     assert claim.before[0][0] < 1.5 * rms
+
+
+def test_the_size_of_a_coupling_is_without_what_squareness_explains(tmp_path):
+    """Of a bow that is all: its linear part is one with the slides' angles, and known as badly as these."""
+    (finding,) = diagnose(recorded(tmp_path)[0]).report.findings
+    rms, (low, high) = finding.parameters["rms"].value, finding.parameters["rms"].ci95
+    bow = BOW * np.sqrt(4 / 45)  # RMS of 1 - s^2 about its mean, s evenly spread over -1 .. 1
+    assert abs(rms - bow) < 0.25 * bow
+    assert low < bow < high and high - low < bow
