@@ -37,7 +37,8 @@ from calib.drift.visits_page import (
 )
 from calib.files import calibration_file
 from calib.files.calibration_file import SEED
-from calib.models.base_and_tool_displacement_between_recordings import Placement, samples_without_displacement
+from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
+from calib.models.base_and_tool_placement import Placement
 from calib.models.machine_models import corrected_pose_covariance
 from calib.report.verification_page import Verified, refutes_claim, verification_verdict, write_verification_page
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, sample_recording

@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import arm_error_model_and_instrument_observations as arms
+from calib.models.base_and_tool_placement import ALIKE, ENDS, LOOSE, Placement
 from calib.models.chain import chain_error_model_and_identification as chains
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
@@ -25,106 +26,19 @@ from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
     has_translation_only_platform,
     poses_aligned_with_machine,
 )
-from rig.array_and_json_types import Booleans, Floats, Json
+from rig.array_and_json_types import Booleans, Floats
 from rig.model.design import Instrument
 from rig.model.mechanism_geometry_classes import Arm, Chain
 from rig.model.mechanisms import kinematics_of
-from rig.model.pose import adjoint, align_poses, exp, pose_to_vector, skew
+from rig.model.pose import adjoint, align_poses, pose_to_vector, skew
 from rig.recording.recording_folder import Recording
 
-ALIKE = 1e-3  # probability with which an end that stands still is taken for moved, which costs little
 CLEAR = 2.0  # times what it leaves; a displacement that does less may be what the model leaves out
-LOOSE = 1.0  # m, rad; by which an estimate may still be off where it is linearised anew
 HUBER = 3.0  # standard deviations, beyond which a pose counts less
 STEPS = 30
 SETTLED = 1e-9  # m, rad
 FEWEST = 8  # poses from which a placement is estimated
-ENDS = ("base", "tool")
 NONE = RigidTransform.identity()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
-    """Where base and tool stand, as motions from where they stood in the reference.
-
-    base : RigidTransform, about `origin` (3,) m, where the base stood, in the frame of poses; tool : RigidTransform, in
-    the target's frame as it was
-    covariance : (12, 12) m and rad of both, 0 where an end was not estimated; ends : which were estimated
-    p_values : of so much by chance, 1 of an end that was not estimated
-    """
-
-    base: RigidTransform
-    tool: RigidTransform
-    origin: Floats
-    covariance: Floats
-    ends: tuple[bool, bool]
-    p_values: tuple[float, float] = (1.0, 1.0)
-
-    @property
-    def motion(self) -> RigidTransform:
-        """The base's motion in the frame of poses."""
-        to_origin = RigidTransform.from_translation(self.origin)
-        return to_origin * self.base * to_origin.inv()
-
-    @property
-    def moved(self) -> tuple[bool, bool]:
-        """Whether chance does not explain that base and tool stand elsewhere."""
-        return self.p_values[0] < ALIKE, self.p_values[1] < ALIKE
-
-    def undone(self, T: RigidTransform) -> RigidTransform:
-        """Poses (n,) as they would have been measured in the reference."""
-        return self.motion.inv() * T * self.tool.inv()
-
-    def stepped(self, step: Floats) -> "Placement":
-        """With both motions changed by a step (12,)."""
-        return replace(self, base=self.base * exp(step[:6]), tool=exp(step[6:]) * self.tool)
-
-    def sizes(self, end: int) -> tuple[float, float, float, float]:
-        """(m, rad, U of each (k = 2)) of the displacement of an end, 0 the base and 1 the tool."""
-        T = (self.base, self.tool)[end]
-        own = self.covariance[6 * end : 6 * end + 6, 6 * end : 6 * end + 6]
-        position, rotation = T.translation, T.rotation.as_rotvec()
-        lengths = float(np.linalg.norm(position)), float(np.linalg.norm(rotation))
-        turn = T.rotation.as_matrix() if end == 0 else np.eye(3)  # a step of the base is in the displaced base's axes
-        parts = ((position, turn @ own[:3, :3] @ turn.T), (rotation, own[3:, 3:]))
-        uncertain = [2 * _along(vector, C) for vector, C in parts]
-        return lengths[0], lengths[1], uncertain[0], uncertain[1]
-
-    def entry(self) -> Json:
-        """What JSON holds: of each estimated end, whether it stands elsewhere and by how much, U with k = 2."""
-        out: Json = {}
-        for end, name in enumerate(ENDS):
-            if self.ends[end]:
-                far, turned, *U = self.sizes(end)
-                out[name] = {
-                    "stands_elsewhere": self.moved[end],
-                    "p_value": self.p_values[end],
-                    "position": {"value": far, "U": U[0]},
-                    "rotation": {"value": turned, "U": U[1]},
-                }
-        return out
-
-    def lines(self) -> list[str]:
-        """What is stated of each end that was estimated."""
-        out = []
-        for end, name in enumerate(ENDS):
-            if not self.ends[end]:
-                continue
-            far, turned, *U = self.sizes(end)
-            within = f"{U[0] * 1e3:.2g} mm and {U[1] * 1e3:.2g} mrad (k = 2)"
-            if self.moved[end]:
-                size = f"by {far * 1e3:.4g} mm and {turned * 1e3:.4g} mrad"
-                out.append(f"the {name} stands elsewhere: {size}, +- {within}")
-            else:
-                out.append(f"the {name} stands where it stood, to +- {within}")
-        return out
-
-
-def _along(vector: Floats, covariance: Floats) -> float:
-    """Standard uncertainty of a vector's length; of one that is nearly 0, the greatest of its directions."""
-    size = float(np.linalg.norm(vector))
-    greatest = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-    return float(np.sqrt(vector @ covariance @ vector)) / size if size > greatest else greatest
 
 
 def pose_jacobian_by_base_and_tool_placement(predicted: RigidTransform, origin: Floats) -> Floats:
@@ -200,7 +114,9 @@ def estimate_placement(
     origin : (3,) m, where the base stood; scatter : (6,) m, rad beyond the poses' noise
     Its covariance is that of the noise, enlarged where the poses scatter by more
     """
-    none = Placement(NONE, NONE, origin, np.zeros((12, 12)), ends)
+    turn = predicted.rotation.mean().as_matrix()
+    centre = predicted.translation.mean(axis=0)
+    none = Placement(NONE, NONE, origin, np.zeros((12, 12)), ends, centre=centre, turn=turn)
     starts = [
         none,
         *(_aligned(predicted, samples, none, free) for free in ((True, False), (False, True), (True, True))),

@@ -17,9 +17,7 @@ from calib.models.arm.arm_certification import start_arm_of_fit
 from calib.models.arm.arm_error_model_and_instrument_observations import observations_of_samples
 from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from calib.models.base_and_tool_displacement_between_recordings import (
-    LOOSE,
     NONE,
-    Placement,
     base_origin,
     estimate_placement,
     estimated_placement_parameter_mask,
@@ -29,6 +27,7 @@ from calib.models.base_and_tool_displacement_between_recordings import (
     samples_as_measured_in_reference,
     target_poses_by_forward_kinematics,
 )
+from calib.models.base_and_tool_placement import LOOSE, Placement
 from calib.models.chain import chain_error_model_and_identification as chains
 from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import Below, Samples, sample_recording
