@@ -21,6 +21,8 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict_refutations_and_result_display import Evidence
 
+ONE_SIDE = "every axis from one side"
+
 
 @dataclass(frozen=True, slots=True)
 class Volume:
@@ -59,6 +61,11 @@ class Conditions:
     duration: float
     instrument: str
     frame: str
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether every axis came to all poses from one side, the same for all."""
+        return self.approach == ONE_SIDE
 
 
 def ranges_of_measured_positions_rotations_and_axes(poses: HeldPoses, mechanism: Commanded) -> Volume:
@@ -134,7 +141,7 @@ def _approach(poses: HeldPoses) -> str:
         return "not determined by the commands"
     sides = [set(column[column != 0].tolist()) for column in moved.T]
     if all(len(side) < 2 for side in sides):
-        return "every axis from one side"
+        return ONE_SIDE
     return "from both sides" if all(len(side) == 2 for side in sides) else "some axes from both sides, some from one"
 
 

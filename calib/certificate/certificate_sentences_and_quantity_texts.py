@@ -72,7 +72,8 @@ def promise_line(certificate: Contents) -> str:
         else f"both {micrometre_text(p.position.upper)} and {_microradian_text(p.rotation.upper)}"
     )
     how_sure = f"With {_percentage_text(p.confidence)} confidence, {_percentage_text(p.coverage)} of poses"
-    return f"{how_sure} in this volume lie within {both} of their nominal places."
+    approached = ", approached from one side by every axis as recorded," if certificate.conditions.one_sided else ""
+    return f"{how_sure} in this volume{approached} lie within {both} of their nominal places."
 
 
 def measured_volume_line(certificate: Contents) -> str:

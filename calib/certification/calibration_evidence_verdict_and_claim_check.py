@@ -40,6 +40,10 @@ MORE = (
     "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that "
     "determine most"
 )
+BOTH_SIDES = (
+    "Approach every pose from the side as recorded, or record poses in a balanced order, as --plan sobol:N of "
+    "`rig run` visits them"
+)
 ONWARD = (
     "Take another recording and certify the calibration with it: `rig certify calibration.json OTHER-REC "
     "--out certificate.html`",
@@ -86,6 +90,11 @@ def calibration_evidence(
             refuted.append("the nominal model does better")
         elif claim.ratio[1] <= 1:
             missing.append(MissingEvidence("it is not shown to be better than the nominal model", MORE))
+    if calibration.confounds is not None and calibration.confounds.one_sided:
+        axes = calibration.confounds.one_sided
+        missing.append(
+            MissingEvidence(f"it holds for poses approached as recorded, from one side on {axes}", BOTH_SIDES)
+        )
     unexplained = () if claim is None else claim.unexplained
     if calibration.physics is not None:
         left = calibration.physics.unknown

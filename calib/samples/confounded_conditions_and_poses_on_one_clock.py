@@ -80,6 +80,14 @@ class Confounds:
         limit = CHANCE / max(len(self.rows), 1)
         return tuple(row for row in self.rows if row.adjusted >= ABSORBED and row.p_value < limit)
 
+    @property
+    def one_sided(self) -> str:
+        """The axes that came to every pose from the same side, in words; "" where there is none. Play is then part of
+        each of their zeros, whatever its size.
+        """
+        start = f"{DIRECTION} on "
+        return _numbered([cause.removeprefix(start) for cause in self.constant if cause.startswith(start)])
+
     def line(self) -> str:
         """The confounds of a recording in one line."""
         if self.serious:
@@ -236,7 +244,7 @@ def _sentence(cause: str, rows: list[Confound]) -> str:
 def _numbered(places: list[str]) -> str:
     """Places in words, "strut 1", "strut 2", "strut 3" as "struts 1-3"."""
     words = [place.rpartition(" ") for place in places]
-    if len(places) == 1 or len({word for word, _, _ in words}) > 1:
+    if len(places) < 2 or len({word for word, _, _ in words}) > 1:
         return ", ".join(places)
     numbers = sorted(int(number) for _, _, number in words)
     runs = [[numbers[0], numbers[0]]]

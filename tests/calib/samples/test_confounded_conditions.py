@@ -72,5 +72,6 @@ def test_what_never_varied_is_named_and_too_few_poses_state_nothing() -> None:
     direction[:, 0] = 1.0
     found = confounds_of_experimental_design(values, direction, t, {PAYLOAD: np.zeros(40)}, AXES)
     assert found.constant == (f"{DIRECTION} on strut 1", LOAD)
+    assert found.one_sided == "strut 1" and not confounds_of_experimental_design(*_design(), {}, AXES).one_sided
     few = confounds_of_experimental_design(values[:4], direction[:4], t[:4], {}, AXES)
     assert not few.rows and few.unjudged and "none can be estimated from 4 poses" in few.line()
