@@ -44,6 +44,10 @@ BOTH_SIDES = (
     "Approach every pose from the side as recorded, or record poses in a balanced order, as --plan sobol:N of "
     "`rig run` visits them"
 )
+EVERYWHERE = (
+    "Record poses all over the workspace, as --plan sobol:N of `rig run` spreads them, or use the machine where it was "
+    "recorded"
+)
 ONWARD = (
     "Take another recording and certify the calibration with it: `rig certify calibration.json OTHER-REC "
     "--out certificate.html`",
@@ -95,6 +99,7 @@ def calibration_evidence(
         missing.append(
             MissingEvidence(f"it holds for poses approached as recorded, from one side on {axes}", BOTH_SIDES)
         )
+    missing += [MissingEvidence(text, EVERYWHERE) for text in (() if claim is None else claim.unrecorded)]
     unexplained = () if claim is None else claim.unexplained
     if calibration.physics is not None:
         left = calibration.physics.unknown

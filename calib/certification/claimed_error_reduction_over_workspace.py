@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certification.held_out_pose_error_statistics import HeldErrors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
+from calib.certification.workspace_beyond_recorded_poses import sentences_on_workspace_beyond_recorded_poses
 from calib.correction.interpolation.gaussian_process import Radial
 from calib.correction.machine_correction import (
     AnyCorrection,
@@ -62,6 +63,7 @@ class Claim:
     None
     unexplained : what the poses show that neither noise nor the claim explains, a sentence each; what stands here
         forbids "good"
+    unrecorded : a sentence on the parts of the workspace beyond all recorded poses, none where there are no such parts
     """
 
     distinct: int
@@ -76,6 +78,7 @@ class Claim:
     measured: tuple[float, ...] | None
     reason: str | None = None
     unexplained: tuple[str, ...] = ()
+    unrecorded: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("before", "after", "ratio", "measured"):
@@ -237,6 +240,9 @@ def strut_machine_workspace_claim(
     if distinct < LEAST:
         return empty_claim_of_too_few_configurations(information, middle)
     commands, T = workspace_commands_and_corrected_poses(correction)
+    unrecorded = sentences_on_workspace_beyond_recorded_poses(
+        (samples.effective, samples.T_base_platform), (commands, T), mechanisms.axis_place_texts(nominal)
+    )
     offset = pose_difference(T, mechanisms.kinematics_of(nominal).forward(commands, nominal))
     back, J = inverse_strut_length_jacobian(T, fitted), pose_parameter_jacobian(T, fitted)
     if machines is not None:
@@ -245,7 +251,7 @@ def strut_machine_workspace_claim(
         )
         corrected = tuple(part is not None for part in correction.remainder)
         axis, units = mechanisms.kinematics_of(nominal).AXIS, mechanisms.axis_units(nominal)
-        return replace(claim, unexplained=machines.unexplained(corrected, axis, units))
+        return replace(claim, unexplained=machines.unexplained(corrected, axis, units), unrecorded=unrecorded)
     stated = mean_square_pose_errors_stated_by_extension(correction, commands, back)
     if held_out_errors is None:
         own = _scatters(identified, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
@@ -254,7 +260,8 @@ def strut_machine_workspace_claim(
     draws = _machines(identified, tolerance, nominal, rng) - (
         geometric_parameters(fitted) - geometric_parameters(nominal)
     )
-    return claim_from_machine_draws(Workspace(J, -offset, own, middle), draws, samples, information, rng)
+    claim = claim_from_machine_draws(Workspace(J, -offset, own, middle), draws, samples, information, rng)
+    return replace(claim, unrecorded=unrecorded)
 
 
 def workspace_commands_and_corrected_poses(correction: AnyCorrection) -> tuple[Floats, RigidTransform]:

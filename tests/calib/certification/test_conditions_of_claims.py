@@ -5,6 +5,7 @@ poses were recorded.
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import calib
 import rig
@@ -44,3 +45,9 @@ def doubts(verdict: Verdict, text: str) -> list[str]:
 def test_a_claim_from_one_side_holds_for_poses_approached_from_it(tmp_path):
     assert not doubts(recorded(tmp_path / "both"), "approached")
     assert doubts(recorded(tmp_path / "below", "below"), "approached as recorded, from one side on struts 1-6")
+
+
+@pytest.mark.parametrize("first, missed", [((0.0, 1.0), ""), ((0.0, 0.5), "above the greatest of strut 1")])
+def test_a_claim_names_where_the_workspace_has_no_poses(tmp_path, first, missed):
+    found = doubts(recorded(tmp_path / "rec", first=first), "beyond the recorded poses")
+    assert missed in found[0] if missed else not found, found
