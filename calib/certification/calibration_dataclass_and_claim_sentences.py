@@ -126,7 +126,7 @@ def claim_check_result_text(verification: Verification) -> str:
     within = (
         verification.unexplained
         and not verification.refutes
-        and (verification.offset is None or not verification.offset.kept)
+        and (verification.offset is None or not verification.offset.excuses)
         and (verification.far is None or not verification.far.kept)
     )
     return "exceeded by no more than its stated unexplained part permits" if within else "NOT kept"
@@ -165,10 +165,21 @@ def explaining_rigid_motion_text(verification: Verification) -> str:
     if verification.offset is None:
         return ""
     o = verification.offset
+    if o.machine and o.zeros is not None:
+        return (
+            f"; the zeros of the struts have changed since it was calibrated: by up to {o.zeros * 1e3:.4f} mm, which "
+            "explains it better than a motion of the base, the instrument or the target"
+        )
+    zeros = (
+        ""
+        if o.zeros is None
+        else f"; zeros of struts that changed by up to {o.zeros * 1e3:.4f} mm explain it as well: these poses do not "
+        "separate the two"
+    )
     return (
         f"; the {WHERE[o.of]} has moved since it was calibrated: by {o.position * 1e3:.4f} mm, "
         f"{o.rotation * 1e3:.4f} mrad; without "
-        f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}"
+        f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}{zeros}"
     )
 
 

@@ -23,9 +23,11 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
+from calib.models.platform.platform_identification import inverse_strut_length_jacobian
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
+from rig.model.mechanism_geometry_classes import Hexapod
 from rig.report.verdict_refutations_and_result_display import (
     LOOK,
     Evidence,
@@ -150,10 +152,13 @@ def evidence_with_verification(
     """
     if verification is None:
         return evidence
-    if verification.offset is not None and verification.offset.kept:
-        moved = MissingEvidence(
-            f"the {WHERE[verification.offset.of]} stands elsewhere",
-            "Reseat the targets and instrument, or state their poses in rig.toml",
+    if verification.offset is not None and verification.offset.excuses:
+        elsewhere = f"the {WHERE[verification.offset.of]} stands elsewhere"
+        reseat = "Reseat the targets and instrument, or state their poses in rig.toml"
+        moved = (
+            MissingEvidence(elsewhere, reseat)
+            if verification.offset.zeros is None
+            else MissingEvidence(f"{elsewhere}, or the zeros of the struts have changed", f"Home the struts. {reseat}")
         )
         return replace(evidence, missing=(*evidence.missing, moved))
     if verification.far is not None and verification.far.kept:
@@ -183,7 +188,13 @@ def verify_claim_on_samples(
     if calibration.claim is None or calibration.claim.after is None:
         return None
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
-    return verify_claim(predicted_poses(calibration.correction, samples), samples, label, calibration.claim, rng)
+    fitted, predicted = calibration.correction.fitted, predicted_poses(calibration.correction, samples)
+    by_lengths = (
+        inverse_strut_length_jacobian(predicted, fitted)
+        if isinstance(fitted, Hexapod) and samples.measured == "pose"
+        else None
+    )
+    return verify_claim(predicted, samples, label, calibration.claim, rng, by_lengths)
 
 
 def evidence_with_confounds(

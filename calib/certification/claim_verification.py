@@ -7,7 +7,8 @@ every pose and so average out, its shared errors are drawn once. The squares are
 a shared error costs its own few degrees of freedom and widens nothing else. Their distribution, the machine's error
 being the same in each visit of one configuration, is drawn.
 A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim
-tested without it.
+tested without it. Zeros of struts that have changed move all poses nearly alike. They are estimated too: the machine
+itself is then wrong, which excuses no claim.
 Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised
     least squares)
 """
@@ -31,6 +32,7 @@ DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times t
 NOTICED = 0.975  # chance with which an error of the size that is stated would have been noticed
 FEWEST = 8  # poses from which a rigid motion is estimated
 FAR, BEYOND, MOST_FAR = 10.0, 4.0, 0.1  # times half of all, and times what is allowed; share of the poses at most
+CLEARLY = 14.0  # of whitened squares, of two explanations with as many unknowns: a likelihood ratio of a thousand
 STEPS = 6  # of Gauss and Newton: motions of a metre and a radian converge in five
 TINY = 1e-9  # m or rad, claims below which weigh as this
 
@@ -57,12 +59,20 @@ class Part:
 class Offset:
     """A rigid motion common to all poses. of : "base" or "platform", which of the two stands elsewhere; position : m;
     rotation : rad, its lengths
-    kept : whether the claim is kept without it"""
+    kept : whether the claim is kept without it; zeros : m, greatest change of a strut's zero that explains the poses,
+        None where no changes do; machine : whether these explain them clearly better than the motion"""
 
     of: str
     position: float
     rotation: float
     kept: bool
+    zeros: float | None = None
+    machine: bool = False
+
+    @property
+    def excuses(self) -> bool:
+        """Whether the machine may be as claimed: it is not, where its zeros have changed."""
+        return self.kept and not self.machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +126,7 @@ class Verification:
         What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times
         what it and noise allow.
         """
-        explained = (self.offset is not None and self.offset.kept) or (self.far is not None and self.far.kept)
+        explained = (self.offset is not None and self.offset.excuses) or (self.far is not None and self.far.kept)
         if self.kept or not self.parts or explained:
             return False
         return not self.unexplained or max(part.of_allowed for part in self.parts.values()) > REFUTES
@@ -128,11 +138,17 @@ class Verification:
 
 
 def verify_claim(
-    predicted: RigidTransform, samples: Samples, label: Integers, claim: Claim, rng: np.random.Generator
+    predicted: RigidTransform,
+    samples: Samples,
+    label: Integers,
+    claim: Claim,
+    rng: np.random.Generator,
+    by_lengths: Floats | None = None,
 ) -> Verification:
     """Verification of a Claim by predicted poses (n,) and measured samples.
 
     samples : Samples, the poses as measured; label : (n,) configuration of each pose; rng : numpy Generator
+    by_lengths : (n, 6, axes) change of the poses with the struts' lengths, None for a machine without struts
     Raises ValueError for a Claim without a factor
     """
     if claim.after is None:
@@ -147,7 +163,10 @@ def verify_claim(
         found = replace(found, far=FarPoses(tuple(samples.frame[far].tolist()), holds_without))
         if holds_without:
             return found
-    return replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
+    offset = _offset(predicted, samples, label, claim, found.of_limit, rng)
+    if offset is not None and by_lengths is not None:
+        offset = _with_zeros(offset, predicted, samples, label, claim, by_lengths, rng)
+    return replace(found, offset=offset)
 
 
 def _far(errors: Floats, samples: Samples, claim: Claim) -> Booleans:
@@ -265,23 +284,53 @@ def _offset(
     return best if best.kept or least < whole / 2 else None
 
 
+def _with_zeros(
+    offset: Offset,
+    predicted: RigidTransform,
+    samples: Samples,
+    label: Integers,
+    claim: Claim,
+    by_lengths: Floats,
+    rng: np.random.Generator,
+) -> Offset:
+    """The Offset with the change of the struts' zeros that explains the poses as well, where one does."""
+    errors = pose_errors(predicted, samples)
+    rows, weight = _weighed(errors, samples, claim)
+    A = by_lengths[:, rows]
+    zeros = _least_squares(A, weight, errors[:, rows])
+    left = errors - by_lengths @ zeros
+    if not _verified(left, samples, label, claim, rng).kept:
+        return offset
+    moved = pose_errors(predicted, _without(offset.of, predicted, samples, claim)[1])
+    squares = [np.einsum("ni,nij,nj->", e[:, rows], weight, e[:, rows]) for e in (left, moved)]
+    if squares[1] < squares[0] - CLEARLY:
+        return offset
+    return replace(offset, zeros=float(np.abs(zeros).max()), machine=bool(squares[0] < squares[1] - CLEARLY))
+
+
+def _weighed(errors: Floats, samples: Samples, claim: Claim) -> tuple[Integers, Floats]:
+    """(rows of the tangent that are measured, (n, rows, rows) inverse covariance of noise and claim)."""
+    assert claim.after is not None
+    sizes = np.repeat([three[2] / math.sqrt(3) for three in claim.after], 3)
+    rows: Integers = np.asarray(np.flatnonzero(np.isfinite(errors).all(axis=0)))
+    added = np.diag(np.maximum(sizes[rows], TINY) ** 2)
+    return rows, np.asarray(np.linalg.inv(samples.total_covariance()[:, rows][:, :, rows] + added), dtype=np.float64)
+
+
+def _least_squares(A: Floats, weight: Floats, e: Floats) -> Floats:
+    """(k,) by generalised least squares. A : (n, rows, k); weight : (n, rows, rows); e : (n, rows)"""
+    information, right = np.einsum("nia,nij,njb->ab", A, weight, A), np.einsum("nia,nij,nj->a", A, weight, e)
+    return np.asarray(np.linalg.lstsq(information, right, rcond=1e-10)[0])
+
+
 def _without(of: str, predicted: RigidTransform, samples: Samples, claim: Claim) -> tuple[RigidTransform, Samples]:
     """(rigid motion that fits best, Samples without it), by generalised least squares on SE(3)."""
-    assert claim.after is not None
     motion, moved = RigidTransform.identity(), samples
-    sizes = np.repeat([three[2] / math.sqrt(3) for three in claim.after], 3)
     for _ in range(STEPS):
         e = pose_errors(predicted, moved)
-        rows = np.flatnonzero(np.isfinite(e).all(axis=0))
-        weight = np.linalg.inv(
-            samples.total_covariance()[:, rows][:, :, rows] + np.diag(np.maximum(sizes[rows], TINY) ** 2)
-        )
+        rows, weight = _weighed(e, samples, claim)
         A = (adjoint(predicted.inv()) if of == "base" else np.broadcast_to(np.eye(6), (len(e), 6, 6)))[:, rows]
-        information, right = (
-            np.einsum("nia,nij,njb->ab", A, weight, A),
-            np.einsum("nia,nij,nj->a", A, weight, e[:, rows]),
-        )
-        step = exp(np.linalg.lstsq(information, right, rcond=1e-10)[0])
+        step = exp(_least_squares(A, weight, e[:, rows]))
         T = samples.T_base_platform
         motion = step * motion if of == "base" else motion * step
         moved = replace(samples, T_base_platform=motion.inv() * T if of == "base" else T * motion.inv())

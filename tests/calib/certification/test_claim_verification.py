@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.calibration_dataclass_and_claim_sentences import claim_check_result_text
+from calib.certification.calibration_dataclass_and_claim_sentences import (
+    claim_check_result_text,
+    explaining_rigid_motion_text,
+)
 from calib.certification.claim_verification import Part, Verification, verify_claim
 from calib.certification.claimed_error_reduction_over_workspace import Claim
+from calib.models.platform.platform_identification import inverse_strut_length_jacobian
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.model.mechanisms import hexapod
 from rig.model.pose import adjoint, exp
@@ -95,6 +99,23 @@ def test_a_moved_base_does_not_excuse_what_is_wrong_besides(design):
     motion = exp(np.array([0.1, -0.1, 0.06, 0.05, 0.02, -0.08]))
     found = held(predicted, replace(samples, T_base_platform=motion * samples.T_base_platform))
     assert not found.kept and found.offset is not None and not found.offset.kept
+
+
+@pytest.mark.parametrize("size, own, surely", [(2e-5, 4e-5, False), (2e-5, 2e-6, True), (4e-5, 2e-6, True)])
+def test_zeros_of_struts_that_changed_are_no_moved_base(design, size, own, surely):
+    predicted, samples = trial(design, 6, 0.5, own=own)
+    zeros = size * np.array([1.0, -1.0, 0.8, 1.0, -0.6, -1.0])
+    shifted = hexapod.forward(samples.commanded + zeros, design.mechanism)
+    moved = replace(
+        samples, T_base_platform=shifted * predicted.inv() * samples.T_base_platform
+    )  # the machine's own error is carried along
+    by_lengths = inverse_strut_length_jacobian(predicted, design.mechanism)
+    rng = np.random.default_rng(0)
+    found = verify_claim(predicted, moved, np.arange(len(samples)), claimed(), rng, by_lengths)
+    assert not found.kept and found.offset.zeros == pytest.approx(size, abs=1e-5)
+    assert found.refutes == surely == found.offset.machine
+    text = explaining_rigid_motion_text(found)
+    assert ("explains it better than" if surely else "explain it as well: these poses do not separate the two") in text
 
 
 def bumped(samples, count):
