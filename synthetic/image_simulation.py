@@ -32,7 +32,7 @@ from synthetic import random_true_machine_and_truth_file, rig_meshes
 from synthetic.ideal_image_renderer import SAMPLES, Renderer, import_pyrender_without_viewer
 from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from synthetic.recording_simulation import Simulation, carried_camera_poses, poses_of_each_stage_and_platform
-from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_facing_cameras_anywhere
 
 BLEND = (
     0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
@@ -267,7 +267,7 @@ def _travel(i: int, T: RigidTransform) -> float:
     """px that the fastest corner in view of camera i moves between two poses (2,)."""
     design = _state["design"]
     state, markers = State(design.cameras, T, carried_camera_poses(design.cameras, T)), marker_map(design)
-    found = sightings_of_markers_facing_cameras(state, markers)
+    found = sightings_facing_cameras_anywhere(state, markers)
     found = found.take((found.camera == i) & (found.frame == 0))
     if not len(found.frame):
         return 0.0

@@ -106,10 +106,10 @@ def write_sheets(design: Design, path: str | Path, paper: str = "A4") -> PrintSh
     buffer = io.BytesIO()
     with PdfPages(buffer) as pdf:
         for page in pages:
-            figure, axes = blank_sheet(page.paper)
+            figure, axes = blank_sheet_figure_and_axes(page.paper)
             draw_sheet(axes, page)
             pdf.savefig(figure)
-        figure, axes = blank_sheet(PAPER[paper])
+        figure, axes = blank_sheet_figure_and_axes(PAPER[paper])
         draw_cube_assembly_page(axes, design, PAPER[paper], len(pages))
         pdf.savefig(figure)
     write_bytes(path, buffer.getvalue())
@@ -127,7 +127,7 @@ def sheets_of_target(target: Target, paper: str) -> list[Page]:
     return [*_of_net(target, paper), *_of_loose(target, paper)]
 
 
-def blank_sheet(paper: tuple[float, float]) -> tuple[Figure, Axes]:
+def blank_sheet_figure_and_axes(paper: tuple[float, float]) -> tuple[Figure, Axes]:
     """Blank sheet: (Figure, Axes in mm from the lower left corner).
 
     paper : (width, height) mm

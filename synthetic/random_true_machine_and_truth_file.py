@@ -22,7 +22,7 @@ from rig.formats.output_files import write_text
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import Camera, Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes
+from rig.model.design_contradictions_and_cube_quarter_turns import design_with_turned_cubes
 from rig.model.mechanism_geometry_classes import Arm
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import (
     Commanded,

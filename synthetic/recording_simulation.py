@@ -20,7 +20,7 @@ from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names
 from rig.model.base_and_link_tilt_sensors import SENSOR_AXES
 from rig.model.design import Camera, Design, Instrument, MeasuringLimbs, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import rig_toml_with_turns
+from rig.model.design_contradictions_and_cube_quarter_turns import rig_toml_with_turns
 from rig.model.mechanisms import redundant_strut_best_six_legs_and_loop_closures
 from rig.model.mechanisms.arm_kinematics_limits_and_loads import single_hand_arm_link_frames
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links, is_redundant, require_axes
@@ -39,7 +39,7 @@ from vision.marker_corner_prediction import (
     is_inside_image,
     marker_map,
     predict_sightings,
-    sightings_of_markers_facing_cameras,
+    sightings_facing_cameras_anywhere,
 )
 
 EXACT = Instrument("rig", "rig", 0.0, 0.0)  # where nobody says what measured the poses
@@ -217,7 +217,7 @@ def _sight_of(
     state = State(
         world.true.cameras, body.T_base_platform, carried_camera_poses(world.true.cameras, run.T_base_platform)
     )
-    found = sightings_of_markers_facing_cameras(state, real, steepest)
+    found = sightings_facing_cameras_anywhere(state, real, steepest)
     found = found.take(real.stage[found.marker] == stage)
     uv = predict_sightings(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
     whole = is_inside_image(found, uv, state.cameras)

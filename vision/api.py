@@ -46,7 +46,7 @@ from vision.bundle.adjustment_cross_validation_and_determined_unknowns import (
 )
 from vision.bundle.adjustment_unknowns_with_priors_and_start_estimate import stated_lens_prior_sigmas
 from vision.bundle.marker_and_target_displacements import Places, adjusted_markers, compare_stated_and_adjusted_places
-from vision.checks.recording_refusal_and_uneven_cube_remarks import (
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import (
     Notice,
     ignore_notice,
     make_corner_check_raising_on_severe_mistakes,

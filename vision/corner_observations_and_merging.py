@@ -232,15 +232,15 @@ def observations_from_corners(
     )
 
 
-def merge_repeated_corners(observations: Observations, state: State) -> tuple[Observations, float]:
-    """Merge repeated corners into their weighted means.
+def merged_corners_and_lost_squares(observations: Observations, state: State) -> tuple[Observations, float]:
+    """Observations with repeated corners merged into weighted means, and the squares lost thereby.
 
     Corners whose errors are told to hang together in their marker stay as they are.
 
     Returns (Observations, the lost sum of whitened squares)
     """
     o = observations
-    rows, group, first = find_repeated_base_corners(o, state.moving)
+    rows, group, first = repeated_base_corner_rows_and_groups(o, state.moving)
     if o.correlation is not None or not len(rows):
         return o, 0.0
     if state.markers is None and (o.points[rows] != o.points[first][group]).any():
@@ -257,10 +257,10 @@ def merge_repeated_corners(observations: Observations, state: State) -> tuple[Ob
     )
 
 
-def find_repeated_base_corners(
+def repeated_base_corner_rows_and_groups(
     observations: Observations, moving_cameras: Collection[int], inliers: Booleans | None = None
 ) -> tuple[Integers, Integers, Integers]:
-    """Repeated base corners in fixed cameras.
+    """Rows, groups and first rows of base corners that fixed cameras see repeatedly.
 
     A group is one corner of one marker in one camera, frame after frame. moving_cameras : indices of the cameras that
     are not fixed

@@ -24,7 +24,7 @@ from rig.model.machine_motion_simulation import MachineRun
 from rig.model.pose import exp, transform_points
 from rig.recording.recording_folder import Sensors
 from vision import opencv_lens_model as lens
-from vision.rolling_shutter_readout_time import rolling_shutter_row_time
+from vision.rolling_shutter_row_time_and_readout_result import rolling_shutter_row_time
 
 # corners 0..3, clockwise from the top left
 SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
@@ -207,8 +207,8 @@ class Sightings:
         return Sightings(self.frame[index], self.camera[index], self.marker[index])
 
 
-def sightings_of_markers_facing_cameras(state: State, markers: MarkerMap, least_cosine: float = STEEPEST) -> Sightings:
-    """Sightings of all markers in front of a camera and facing it, not too obliquely.
+def sightings_facing_cameras_anywhere(state: State, markers: MarkerMap, least_cosine: float = STEEPEST) -> Sightings:
+    """Sightings of all markers in front of a camera and facing it, whether in its image or outside.
 
     least_cosine : of the tilt
     """
@@ -275,7 +275,7 @@ def visible_marker_counts_over_all_cameras(
     """
     held = {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
     state = State(cameras, T_base_platform, held)
-    found = sightings_of_markers_facing_cameras(state, markers)
+    found = sightings_facing_cameras_anywhere(state, markers)
     found = found.take(markers.on_platform[found.marker] != bool(held))
     whole = is_inside_image(found, predict_sightings(found, state, markers), cameras)
     pairs = np.unique(np.stack([found.frame[whole], found.marker[whole]], axis=1), axis=0)

@@ -15,7 +15,7 @@ from rig.array_and_json_types import Floats, Pixels
 from rig.errors import FileError, RigError
 from rig.formats.output_files import write_bytes
 from rig.model.design import Camera
-from rig.recording.exposures_and_image_files import Exposures, read_image
+from rig.recording.exposures_and_image_files import Exposures, read_grey_or_colour_image
 from rig.recording.recording_folder import Recording
 from vision import opencv_lens_model as lens
 from vision.corners.marker_detection_and_corner_fit import grey_images_for_reader_and_fit
@@ -49,7 +49,10 @@ def frame_jpegs(recording: Recording, frame: int) -> dict[str, bytes]:
     """
     e = recording.exposures
     rows = [k for k in np.flatnonzero(e.frame == frame) if e.image[k]]
-    return {e.camera[k]: encode_jpeg_reduced_to_page_width(read_image(recording.folder / e.image[k])) for k in rows}
+    return {
+        e.camera[k]: encode_jpeg_reduced_to_page_width(read_grey_or_colour_image(recording.folder / e.image[k]))
+        for k in rows
+    }
 
 
 FOUND, ASIDE, ARROW = (80, 220, 80), (60, 60, 230), (0, 170, 255)  # BGR
@@ -83,7 +86,8 @@ def measure_and_draw_frame(
             continue
         if names[0]:
             picture = cv2.cvtColor(
-                grey_images_for_reader_and_fit(read_image(recording.folder / names[0]))[0], cv2.COLOR_GRAY2BGR
+                grey_images_for_reader_and_fit(read_grey_or_colour_image(recording.folder / names[0]))[0],
+                cv2.COLOR_GRAY2BGR,
             )
         else:
             picture = np.full((camera.height, camera.width, 3), 40, np.uint8)

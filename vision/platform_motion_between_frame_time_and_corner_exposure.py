@@ -34,7 +34,7 @@ from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import (
 from vision.corner_observations_and_merging import Observations
 from vision.marker_corner_prediction import predict_corners
 from vision.recording_adjustment_with_hand_and_stages import Measurement
-from vision.rolling_shutter_readout_time import Readout, rolling_shutter_row_time
+from vision.rolling_shutter_row_time_and_readout_result import Readout, rolling_shutter_row_time
 
 AFTER = 1e-3  # s by which exposures are moved for a derivative
 ROUNDS = 3  # of finding by how much cameras' times differ

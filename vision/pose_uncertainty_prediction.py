@@ -26,7 +26,7 @@ from vision.marker_corner_prediction import (
     State,
     is_inside_image,
     predict_sightings,
-    sightings_of_markers_facing_cameras,
+    sightings_facing_cameras_anywhere,
 )
 from vision.recording_adjustment_with_hand_and_stages import Measurement, has_hand_cameras
 
@@ -91,7 +91,7 @@ def _sightings(measured: Measurement, body: RigidTransform) -> tuple[Sightings, 
     """
     a = measured.adjustment
     state, markers = State(a.state.cameras, body, {}, a.state.placed), a.state.placed
-    found = sightings_of_markers_facing_cameras(state, markers)
+    found = sightings_facing_cameras_anywhere(state, markers)
     found = found.take(
         np.isin(found.camera, list(a.unknowns.poses))
         & np.isin(found.marker, a.unknowns.seen)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.array_and_json_types import Floats, Integers, Pixels
 from rig.errors import FileError, RigError
 from rig.model.design import Camera, Design
-from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
+from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_grey_or_colour_image
 from vision.corners.marker_detection_and_corner_fit import detect_markers
 from vision.marker_corner_prediction import MarkerMap, marker_map
 
@@ -58,7 +58,7 @@ def measure_printed_marker_scale(
     if not photo.is_file():
         raise FileError(photo, "no such file")
     try:
-        image = read_image(photo, MOST_OF_A_PHOTOGRAPH)
+        image = read_grey_or_colour_image(photo, MOST_OF_A_PHOTOGRAPH)
     except FileError as error:
         raise FileError(
             photo, f"is not a readable picture (truncated?): {str(error).removeprefix(error.path).lstrip(': ')}"

@@ -42,7 +42,7 @@ from vision.pose.frame_and_camera_poses import (
 )
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings
 from vision.pose.pose_refinement_and_choice_by_neighbour_frames import FAR
-from vision.rolling_shutter_readout_time import Readout
+from vision.rolling_shutter_row_time_and_readout_result import Readout
 
 FARTHEST = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
 NEGLIGIBLE = 1e-2  # standard deviations by which a shared draw moves all poses; below, each pose bears it alone

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
-from rig.model.design_comparison_and_cube_turning_instructions import WORDS
+from rig.model.design_contradictions_and_cube_quarter_turns import WORDS
 from rig.model.pose import log
 from rig.recording.combined_recordings import (
     Owners,
@@ -108,7 +108,7 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
 
     Raises RigError naming what their rig.toml contradict each other in, and what measuring raises
     """
-    require_combinable_recordings(recordings)
+    require_one_rig_without_repeated_frames(recordings)
     owners = first_recording_by_camera(recordings)
     moved = [
         Elsewhere(k, name, np.nan, np.nan)
@@ -137,10 +137,9 @@ def combine_recordings(recordings: Sequence[Recording], progress: Progress | Non
     )
 
 
-def require_combinable_recordings(recordings: Sequence[Recording]) -> None:
-    """Raise RigError unless recordings can be combined.
+def require_one_rig_without_repeated_frames(recordings: Sequence[Recording]) -> None:
+    """Raise RigError unless recordings are of one rig, and no frame of one is in another.
 
-    They are of one rig, with no data of one in another.
     Names what differs; data in two recordings would count twice.
     """
     require_one_rig(recordings)

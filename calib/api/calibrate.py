@@ -20,7 +20,7 @@ from calib.certification import platform_certification
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.claimed_error_reduction_over_workspace import Claim
-from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.platform_certification import Progress, ignore_progress
 from calib.correction.correction_tables import (
     correction_summand_column_names,
     correction_summand_csv_rows,
@@ -44,8 +44,8 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
 )
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.files.calibration_file import SEED, calibration_with_provenance
+from calib.models.arm import arm_calibration_page_and_c_source as arm_page
 from calib.models.arm import arm_certification as arm_certification
-from calib.models.arm import calibration_page_and_c_source as arm_page
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
     arm_workspace_claim,
     commanded_minus_joint_values_by_stated_arm,
@@ -53,11 +53,11 @@ from calib.models.arm.joint_space_correction_and_workspace_claim import (
 from calib.models.arm.mount_pointing_terms import PointingTerms, pointing_terms
 from calib.models.chain import chain_certification_and_page as chain_certification
 from calib.models.chain.chain_correction_over_configuration_space import chain_correction_summands
-from calib.models.machine_models import Certified
+from calib.models.machine_parameters_and_file_entries import Certified
 from calib.online.measuring_limb_poses_checked_by_vision import LimbSource, sample_recording_by_checked_measuring_limbs
 from calib.report import platform_and_lens_calibration_pages as platform_page
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, sample_recording
-from calib.samples.confounded_conditions_and_poses_on_one_clock import (
+from calib.samples.position_confounds_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,
 )
@@ -77,7 +77,7 @@ from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
 from vision.clock_offset_drive_lag_and_camera_time_offset_estimation import Clocks
 
 
@@ -243,7 +243,7 @@ def calibrate(
         NotConverged where no geometry agrees with them
     """
     prepared = check_and_combine_recordings(recordings, options.anyway, notice, progress)
-    recording, call = prepared.recording, progress or silent_progress
+    recording, call = prepared.recording, progress or ignore_progress
     if prepared.joined and options.limbs is not None:
         raise RigError("--limbs reads the poses of one recording from measuring limbs; name one")
     options.refuse_unsuited(recording.design)

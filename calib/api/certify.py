@@ -38,7 +38,7 @@ from calib.files import calibration_file
 from calib.files.calibration_file import SEED
 from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_recordings
+from calib.samples.position_confounds_and_poses_on_one_clock import confounds_of_recordings
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.output_files import write_text

@@ -15,7 +15,7 @@ from calib.correction.physical_effects_of_calibration_and_their_compensation imp
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import HOLDING
 from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.arm.arm_error_model_and_instrument_observations import tool_parameter_slice
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from calib.models.wanted_pose_commands import (
     RouteCommands,
     commands_along_route,

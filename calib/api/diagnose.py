@@ -11,7 +11,7 @@ from calib.api.next_experiment import ExperimentOptions, NextExperiment, diagnos
 from calib.api.recording_check_combination_and_view import check_and_combine_recordings
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.calibration_evidence_verdict_and_claim_check import OfCalibrations
-from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.platform_certification import Progress, ignore_progress
 from calib.diagnosis import recording_diagnosis
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import StatedTerms
 from calib.diagnosis.left_out_physics_and_refutation_of_calibrations import (
@@ -44,7 +44,11 @@ from rig.recording.frame_selection_and_content_hashes import content_hashes_of_f
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, State, Verdict, result_html
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice, recorded_or_sampled_corners
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import (
+    Notice,
+    ignore_notice,
+    recorded_or_sampled_corners,
+)
 
 AN_HOUR = ExperimentOptions()
 FINDING_COLUMNS = ("effect", "place", "parameter", "value", "low_95", "high_95", "unit")
@@ -136,7 +140,7 @@ class DiagnosisResult(OneLineRepr):
         )
 
     def next_experiment(
-        self, options: ExperimentOptions = AN_HOUR, progress: Progress = silent_progress
+        self, options: ExperimentOptions = AN_HOUR, progress: Progress = ignore_progress
     ) -> NextExperiment:
         """NextExperiment that best resolves what is still ambiguous."""
         return next_experiment(diagnosis_questions(self.found), self.recording.design, options, progress)

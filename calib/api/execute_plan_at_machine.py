@@ -48,10 +48,10 @@ from rig.formats.local_and_remote_input_files import read_bytes
 from rig.formats.output_files import write_bytes
 from rig.formats.rig_toml.design_from_rig_toml import load_entries
 from rig.model.design import Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
+from rig.model.design_contradictions_and_cube_quarter_turns import turning_instructions
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_axes
 from rig.planning.recording_plan import build_plan
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
 
 STANDARD = RunOptions()
 Displays = Callable[[RunObserver], AbstractContextManager[list[RunDisplay]]]

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from calib.api.corrected_command_lookup_table_over_sensor_channels import corrected_command_lookup_table
-from calib.correction.correction_tables import axis_correction_tables, grid_correction_table
+from calib.correction.correction_tables import axis_correction_tables, grid_commands_and_corrections
 from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import correction_c_source
 from calib.correction.hexapod_kinematics_c_source_for_linuxcnc_and_grblhal import (
     grblhal_kinematics_source,
     linuxcnc_kinematics_source,
 )
 from calib.files import calibration_file
+from calib.models.arm.arm_calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.arm_correction import ArmCorrection
-from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from rig.errors import RigError
 from rig.formats.exporters import (
     json_csv_linuxcnc_and_camera_file_exports,
@@ -220,7 +220,7 @@ def _correction_tables(path: Path, kind: str, options: ExportOptions) -> ExportR
         raise RigError(f"--intervals is 1 to {most} for {kind}, not {parts}")
     if kind == "grid":
         text = json_csv_linuxcnc_and_camera_file_exports.correction_grid_csv(
-            *grid_correction_table(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
+            *grid_commands_and_corrections(correction, parts), mechanism.axes, mechanisms.kinematics_of(mechanism).UNIT
         )
         rows = (parts + 1) ** len(mechanism.axes)
         return ExportResult({"": text}, f"{rows} rows; command = x + k, x as the nominal model has it")

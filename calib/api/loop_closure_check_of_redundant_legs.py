@@ -152,7 +152,7 @@ def _legs(recording: Recording, options: LoopClosureOptions) -> tuple[RedundantL
         require_hexapod(recording.design.mechanism),
         measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(recording.design),
     )
-    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(recording)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(recording)
     n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]

@@ -18,7 +18,7 @@ from calib.certification import (
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import Agreement
 from calib.files.calibration_file import calibration_provenance
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from calib.online import accepted_measuring_limbs_file, measuring_limb_poses_checked_by_vision
 from calib.online.accepted_measuring_limbs_file import Accepted
 from calib.online.measuring_limb_poses_checked_by_vision import (
@@ -46,7 +46,7 @@ from rig.recording.wanted_poses_and_roll_pitch_yaw import write_poses_as_roll_pi
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
 
 FIGURES = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
 
@@ -161,7 +161,7 @@ def accept_limbs(
     measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(
         design
     )  # limbs that determine no pose are refused before anything is read
-    frames, every = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(recording)
+    frames, every = measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(recording)
     stated = measuring_limb_calibration_slips_and_vision_agreement.stated_limbs(design)
     requested = None if options.use is None else _limb_numbers(options.use, stated.channels)
     by_vision = sample_recording(recording, progress=progress)
@@ -178,12 +178,17 @@ def accept_limbs(
     samples = measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
         by_vision.samples, frames, every[:, chosen]
     )
-    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, sigma)
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses_and_expected_covariance(
+        samples, nominal, sigma
+    )
     found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, options.tolerance
     )
     six = replace(
-        measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, sigma)[0], chosen=chosen
+        measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
+            samples, nominal, sigma
+        )[0],
+        chosen=chosen,
     )
     both = every[np.searchsorted(frames, samples.frame)]
     limbs = replace(

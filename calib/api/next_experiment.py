@@ -24,7 +24,7 @@ from calib.experiment.investigation_folder_and_report import SETTING_UP
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.model.design import PERMITTED, TURN, Design, Permission, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import parse_cube_turn_permission, turning_instructions
+from rig.model.design_contradictions_and_cube_quarter_turns import cube_turn_permission_or_problem, turning_instructions
 from rig.planning import timed_plan_and_visiting_order
 from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
@@ -316,7 +316,7 @@ class ExperimentOptions:
         """
         out = []
         for word in self.may or design.experiment.may:
-            may, problem = parse_cube_turn_permission(word, design.targets)
+            may, problem = cube_turn_permission_or_problem(word, design.targets)
             if problem:
                 raise RigError(f"--may {word!r}: {problem}")
             out.append(may)

@@ -14,10 +14,10 @@ from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import nearest_known_word
 from rig.formats.importers.arm_from_urdf_dh_or_screw_axis_table import ArmFileOptions, read_arm_file
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
 from rig.formats.importers.foreign_pose_table import POSITION
 from rig.formats.importers.foreign_table_column_search_and_completion import Cells
-from rig.formats.importers.foreign_table_units_and_timestamps import split_header
-from rig.formats.importers.import_recipe import TABLES, ForeignTable, Recipe, recipe_of_options
+from rig.formats.importers.foreign_table_units_and_timestamps import header_name_and_unit
 from rig.formats.json_toml_and_yaml_loading import toml_entries
 from rig.formats.local_and_remote_input_files import exists, is_empty, is_folder, list_folder, read_bytes, read_text
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
@@ -26,7 +26,7 @@ from rig.formats.rig_toml.design_from_rig_toml import LARGEST, design_of_entries
 from rig.model.design import Design
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.recording.recording_folder import Recording
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice
 
 TABULAR = (".csv", ".tsv", ".txt", ".dat", ".parquet")
 BAGS = (".bag", ".mcap", ".db3")
@@ -164,7 +164,7 @@ def _columns_by_joint_name(
 
 def _bare(header: str) -> str:
     """A header without its unit and without a word for position or axis."""
-    return re.sub(r"(?i)(_pos(ition)?|/position|[ _]axis)$", "", split_header(header)[0].strip())
+    return re.sub(r"(?i)(_pos(ition)?|/position|[ _]axis)$", "", header_name_and_unit(header)[0].strip())
 
 
 def _is_radians(cells: Cells, design: Design, found: dict[str, str]) -> bool:

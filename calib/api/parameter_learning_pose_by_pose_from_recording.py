@@ -24,7 +24,7 @@ from calib.online.parameter_learning_by_filter_or_learner import (
 )
 from calib.report.online_learning_and_limb_vision_agreement_pages import OnlineResult, online_verdict, write_online_page
 from calib.samples.commanded_and_measured_pose_samples import Sampled, sample_recording
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_recordings
+from calib.samples.position_confounds_and_poses_on_one_clock import confounds_of_recordings
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
@@ -41,7 +41,7 @@ from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Refutation, Verdict, result_html
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
 
 OTHERS = "drifting"  # the learner of other machines than hexapods, where none is named
 

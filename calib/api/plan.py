@@ -22,7 +22,7 @@ from calib.api.plan_options_and_result import (
     PlanResult,
     plan_geometry_and_exclusion_of_lost_poses,
 )
-from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.platform_certification import Progress, ignore_progress
 from calib.correction.machine_correction import indices_and_poses_of_solvable_commands
 from calib.diagnosis.effect_signal_to_noise_and_distinguishability_by_plan import (
     Separation,
@@ -32,18 +32,21 @@ from calib.models.arm.arm_error_model_and_instrument_observations import PLAUSIB
 from calib.models.arm.arm_error_model_and_instrument_observations import parameter_jacobian, parameter_names
 from calib.models.arm.mount_pointing_terms import pointing_term_jacobian_and_names
 from calib.models.arm.tilt_observations import planned_tilt_jacobian
-from calib.models.machine_models import IndependentParameters, independent_parameter_names_units_sizes_and_jacobian
+from calib.models.machine_parameters_and_file_entries import (
+    IndependentParameters,
+    independent_parameter_names_units_sizes_and_jacobian,
+)
+from calib.models.platform.d_optimal_hexapod_configurations import (
+    choose_configurations_by_exchange,
+    choose_d_optimal_configurations,
+    total_information,
+)
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
     parameter_combinations_and_visibility,
     standard_error_along,
 )
-from calib.models.platform.optimal_calibration_poses import (
-    choose_configurations_by_exchange,
-    choose_d_optimal_configurations,
-    total_information,
-)
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_configurations
+from calib.samples.position_confounds_and_poses_on_one_clock import confounds_of_configurations
 from rig import api
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_base_class import Effect
@@ -294,7 +297,7 @@ def _sigma(value: float) -> str:
     return f"{value * 1e6:9.2f} um" if value < 1e-2 else "   unseen   "
 
 
-def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progress = silent_progress) -> PlanResult:
+def plan(design: Design, options: PlanOptions = FOR_PARAMETERS, progress: Progress = ignore_progress) -> PlanResult:
     """PlanResult of a design, as `rig plan` makes it.
 
     progress : called with (label, done, of)

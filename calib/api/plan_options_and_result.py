@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.models.platform.optimal_calibration_poses import ConfigurationExclusion
+from calib.models.platform.d_optimal_hexapod_configurations import ConfigurationExclusion
 from calib.report.recording_and_plan_pages import write_plan_page
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confound_sentences
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import are_nominal_poses_out_of_corrected_reach
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError

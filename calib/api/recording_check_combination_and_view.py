@@ -32,7 +32,7 @@ from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
 )
 from rig.api import CheckResult, load_and_check_recording_files
 from rig.array_and_json_types import Floats, Integers
-from rig.checks import command_and_pose_disagreements
+from rig.checks import platform_command_and_pose_mistakes
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect, require_nonzero_effect
 from rig.formats.exporters import recording_as_rerun_tum_parquet
@@ -53,7 +53,7 @@ from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording, RecordingPart
 from rig.report.pages.page_templates_and_index_page import Link
 from vision.checks import find_corner_mistakes
-from vision.checks.recording_refusal_and_uneven_cube_remarks import (
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import (
     Notice,
     make_corner_check_raising_on_severe_mistakes,
     recorded_or_sampled_corners,
@@ -61,7 +61,7 @@ from vision.checks.recording_refusal_and_uneven_cube_remarks import (
     require_no_severe_mistakes_in_files_and_images,
     unevenly_placed_cubes_remarks,
 )
-from vision.recording_combination_and_moved_cameras import combine_recordings, require_combinable_recordings
+from vision.recording_combination_and_moved_cameras import combine_recordings, require_one_rig_without_repeated_frames
 
 ROUNDS = 4  # of linearising anew
 ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
@@ -91,10 +91,12 @@ class Place:
         )
 
 
-def remove_instrument_displacement(recording: Recording, is_anywhere: bool = False) -> tuple[Recording, list[Place]]:
-    """Recording with its instrument's displacement removed.
+def undisplaced_recording_and_displaced_places(
+    recording: Recording, is_anywhere: bool = False
+) -> tuple[Recording, list[Place]]:
+    """Recording with its instrument's displacement removed, and the [Place] where it was displaced.
 
-    Also the [Place] where it was displaced, of a platform. is_anywhere : whether it is placed anew in each recording,
+    Of a platform. is_anywhere : whether it is placed anew in each recording,
     which needs no proof; the first one's is fitted where joints cannot take it up, as those of a plate on struts do
     Raises what sampling raises
     """
@@ -228,9 +230,9 @@ def check_and_combine_recordings(
             and recording.poses is not None
         ):
             alone = replace(recording, parts=(RecordingPart(recording, 0, 0.0),))
-            recording, _ = remove_instrument_displacement(recording_in_machine_frames(alone), True)
+            recording, _ = undisplaced_recording_and_displaced_places(recording_in_machine_frames(alone), True)
         return PreparedRecording(recording, look, False)
-    require_combinable_recordings(every)
+    require_one_rig_without_repeated_frames(every)
     for recording in every:
         look = refuse_unfit_recording_and_make_corner_check(recording, ignore_mistakes, notice)
         corners = recorded_or_sampled_corners(recording)
@@ -246,7 +248,7 @@ def check_and_combine_recordings(
         measured = "pose" if recording.design.instrument is None else recording.design.instrument.kind
         several = bool(hand_names(recording.design.mechanism))
         if recording.design.mechanism.strut_joints is not None or is_anywhere:
-            recording, places = remove_instrument_displacement(recording, is_anywhere)
+            recording, places = undisplaced_recording_and_displaced_places(recording, is_anywhere)
             for place in [] if is_anywhere else places:
                 notice(place.line(every[place.recording].name))
             if is_anywhere:
@@ -297,12 +299,12 @@ def find_mistakes_between_poses_and_commands(recording: Recording) -> tuple[Mist
     if mechanism.plates is None or any(are_base_and_tool_frames_unknown(recording.design.instrument, mechanism)):
         return ()
     return sort_mistakes(
-        command_and_pose_disagreements.command_pose_mistakes(
-            command_and_pose_disagreements.commands_and_measured_poses(
+        platform_command_and_pose_mistakes.command_pose_mistakes(
+            platform_command_and_pose_mistakes.commands_and_measured_poses(
                 recording,
                 recording.poses.frame,
                 recording.poses.T_base_platform,
-                command_and_pose_disagreements.pose_columns_of_poses_csv_as_written(recording),
+                platform_command_and_pose_mistakes.pose_columns_of_poses_csv_as_written(recording),
             )
         )
     )

@@ -23,26 +23,26 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
-from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.platform_certification import Progress, ignore_progress
 from calib.certification.redundant_strut_length_conflict_causing_internal_forces import strut_conflict
 from calib.drift import machine_change_hypotheses_verdict_and_sentences
-from calib.drift.machine_change_hypotheses_verdict_and_sentences import Verdict as ChangeVerdict
-from calib.drift.visit_history import History, add_visit_and_judge_change
-from calib.drift.visits_page import (
+from calib.drift.drift_visits_page import (
     Visit,
     change_alarm_sentence,
     last_visit_verdict,
     sentence_on_effect_omitted_by_calibration,
     write_visits_page,
 )
+from calib.drift.machine_change_hypotheses_verdict_and_sentences import Verdict as ChangeVerdict
+from calib.drift.visit_history import History, add_visit_and_judge_change
 from calib.files import calibration_file
 from calib.files.calibration_file import SEED
 from calib.models.base_and_tool_displacement_between_recordings import samples_without_displacement
 from calib.models.base_and_tool_placement import Placement
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from calib.report.verification_page import Verified, refutes_claim, verification_verdict, write_verification_page
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples, sample_recording
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.numbers_and_units import count_text
@@ -264,7 +264,7 @@ def watch(
     visits: Sequence[Recording],
     history: History,
     refutations: Sequence[Refutation] = (),
-    progress: Progress = silent_progress,
+    progress: Progress = ignore_progress,
 ) -> WatchResult:
     """Watch over a calibration by visits (small recordings, in order).
 

@@ -21,12 +21,12 @@ from calib.api.options_and_imported_data_of_why import (
 )
 from calib.certification.calibration_dataclass_and_claim_sentences import ratio_interval_text
 from calib.certification.held_out_pose_error_statistics import Figures, HeldOut
-from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.platform_certification import Progress, ignore_progress
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.diagnosis_sentences_and_table_rows import finding_size_text, finding_title
 from calib.files.calibration_file import save
 from calib.models.arm.arm_certification import CertifiedArm
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences
+from calib.samples.position_confounds_and_poses_on_one_clock import confound_sentences
 from rig.array_and_json_types import Json
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
@@ -34,7 +34,7 @@ from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import WORST, Verdict, result_html
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
 
 QUESTIONS = ("how wrong", "why", "how sure", "what to do", "measure next")
 MENTIONED = 3  # findings in a line
@@ -308,7 +308,7 @@ def why(
         calibrated = calibrate(recording, calibrating, progress)
         save(results / "calibration.json", calibrated.calibration)
         try:
-            following, problem = diagnosed.next_experiment(progress=progress or silent_progress), ""
+            following, problem = diagnosed.next_experiment(progress=progress or ignore_progress), ""
         except RigError as error:  # a machine of which no plan can be foretold
             following, problem = None, f"no plan can be predicted: {error}"
     geometry = calibrated.done.geometry if isinstance(calibrated.done, CertifiedArm) else None

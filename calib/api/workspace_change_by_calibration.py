@@ -11,7 +11,7 @@ from pathlib import Path
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.files import calibration_file
-from calib.models.machine_models import calibration_with_workspace
+from calib.models.machine_parameters_and_file_entries import calibration_with_workspace
 from calib.workspace import workspace_page
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import (
     COLUMNS,
@@ -31,7 +31,7 @@ from rig.model import mechanisms
 from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import OneLineRepr, Verdict, result_html
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice, ignore_notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -28,7 +28,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     pose_repeatability,
 )
 from calib.certification.iso230_and_iso9283_tests import (
-    iso230_axis_tests,
+    iso230_tests_of_corrected_axes,
     iso9283_accuracy_and_repeatability,
     speeds_and_loads_of_test,
 )
@@ -50,9 +50,9 @@ from calib.certification.uncertainty_budget import (
 )
 from calib.files import calibration_file
 from calib.files.calibration_file import calibration_json_text
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from calib.samples.commanded_and_measured_pose_samples import Sampled
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
+from calib.samples.position_confounds_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
 from rig.array_and_json_types import Floats, Json
 from rig.errors import NotEnoughData
 from rig.recording.frame_selection_and_content_hashes import content_hashes_of_frames, sorted_hashes_of_frames
@@ -123,7 +123,7 @@ def calibration_certificate(
         ranges_of_measured_positions_rotations_and_axes(poses, calibration.correction.nominal),
         repeatability,
         iso9283_accuracy_and_repeatability(poses, duty),
-        iso230_axis_tests(calibration.correction, poses),
+        iso230_tests_of_corrected_axes(calibration.correction, poses),
         _judged(poses, request, rng),
         contributions,
         circumstances,

@@ -14,7 +14,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.certification.iso230_and_iso9283_tests import AxisTest, Iso9283
 from calib.certification.pose_error_promise_and_conformity import Cell, Conformity, Promise
 from calib.certification.uncertainty_budget import Budget
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds
 from rig.array_and_json_types import Floats, Json
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded

@@ -29,7 +29,7 @@ from calib.certification.noise_free_errors_and_tolerance_limits import (
 from calib.certification.pose_error_promise_and_conformity import CONFORMS, FAILS, GUARD, OPEN
 from calib.models.arm.mount_pointing_terms import ARCSEC
 from calib.samples.commanded_and_measured_pose_samples import Sampled
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
+from calib.samples.position_confounds_and_poses_on_one_clock import confound_sentences, confounds_of_recordings
 from rig.array_and_json_types import Floats, Json
 from rig.errors import RigError
 from rig.formats.json_toml_and_yaml_loading import nan_to_null

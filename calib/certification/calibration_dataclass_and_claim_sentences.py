@@ -13,7 +13,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.correction.machine_correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
-from calib.samples.confounded_conditions_and_poses_on_one_clock import (
+from calib.samples.position_confounds_and_poses_on_one_clock import (
     Confounds,
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,

@@ -25,7 +25,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.models.platform.platform_identification import inverse_strut_length_jacobian
 from calib.samples.commanded_and_measured_pose_samples import Samples
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.report.verdict_refutations_and_result_display import (

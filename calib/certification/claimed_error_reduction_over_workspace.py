@@ -19,7 +19,7 @@ from calib.certification.held_out_pose_error_statistics import HeldErrors
 from calib.certification.held_out_pose_errors_and_distinct_configurations import LEAST
 from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
 from calib.certification.workspace_beyond_recorded_poses import sentences_on_workspace_beyond_recorded_poses
-from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.gaussian_process_interpolation import Radial
 from calib.correction.machine_correction import (
     AnyCorrection,
     Correction,

@@ -40,7 +40,7 @@ from calib.certification.platform_certification import (
     Progress,
     draw_and_add_possible_machines,
     draw_strut_deviation_sizes_beyond_geometry,
-    silent_progress,
+    ignore_progress,
     uncertified_geometry,
 )
 from calib.correction import correction_field_methods_fitting_combination_and_json
@@ -50,7 +50,7 @@ from calib.correction.correction_field_methods_fitting_combination_and_json impo
     identified_geometry_correction_with_field,
     residual_correction_summands_at_samples,
 )
-from calib.correction.interpolation.gaussian_process import RadialMap
+from calib.correction.interpolation.gaussian_process_interpolation import RadialMap
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     Field,
     FieldSamples,
@@ -128,7 +128,7 @@ def certify_extended_correction(
 
     Returns (Certified, methods tried)
     """
-    report = progress or silent_progress
+    report = progress or ignore_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     report("fitting the geometry", 0, 1)
     found = fitted_or_nominal_geometry(samples, nominal, request.alone)

@@ -61,11 +61,8 @@ class AxisTest:
     formal: bool
 
 
-def iso230_axis_tests(correction: AnyCorrection, poses: HeldPoses) -> tuple[AxisTest, ...]:
-    """ISO 230-2 test of each axis.
-
-    It is of axes that were moved alone from both sides.
-    """
+def iso230_tests_of_corrected_axes(correction: AnyCorrection, poses: HeldPoses) -> tuple[AxisTest, ...]:
+    """ISO 230-2 test of each axis as corrected, where it was moved alone from both sides."""
     if not poses.rotations:
         return ()
     J = _to_axes(correction, poses)

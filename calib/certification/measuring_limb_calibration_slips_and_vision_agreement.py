@@ -93,8 +93,8 @@ def hexapod_of_six_limbs(design: Design, limb_numbers: Integers | None = None) -
     )
 
 
-def limb_readings_at_exposures(recording: Recording) -> tuple[Integers, Floats]:
-    """Readings of the measuring limbs at a recording's exposures.
+def frames_and_limb_readings(recording: Recording) -> tuple[Integers, Floats]:
+    """Frames of a recording whose exposures have readings of the measuring limbs, and these readings.
 
     Returns (frames (f,) of exposures with readings, readings (f, limbs) m)
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
@@ -124,7 +124,7 @@ def limb_readings_at_exposures(recording: Recording) -> tuple[Integers, Floats]:
 
 def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, lengths: Floats) -> Samples:
     """Samples with the measuring limbs' readings as commands, the poses those of vision.
-    samples : Samples by vision; frames (f,), lengths (f, 6) m : as `limb_readings_at_exposures` gives them, of six.
+    samples : Samples by vision; frames (f,), lengths (f, 6) m : as `frames_and_limb_readings` gives them, of six.
 
     Raises NotEnoughData where no frame has both
     """
@@ -135,8 +135,8 @@ def samples_with_limb_readings_as_commands(samples: Samples, frames: Integers, l
     return replace(retained, commanded=lengths[np.searchsorted(frames, retained.frame)])
 
 
-def calibrate_limbs(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
-    """Measuring limbs calibrated on samples.
+def calibrated_limbs_and_identification(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
+    """Measuring limbs calibrated on samples, and their identification.
 
     nominal : Hexapod as stated; sigma : m of one reading
     Returns (Limbs, Identified)
@@ -151,8 +151,10 @@ def _add_reading_noise(samples: Samples, nominal: Hexapod, sigma: float) -> Samp
     return replace(samples, covariance=samples.covariance + sigma**2 * back @ np.swapaxes(back, 1, 2))
 
 
-def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, Floats]:
-    """Poses by limbs that were fitted to other stretches of samples.
+def held_out_limb_poses_and_expected_covariance(
+    samples: Samples, nominal: Hexapod, sigma: float
+) -> tuple[RigidTransform, Floats]:
+    """Poses by limbs fitted to other stretches of samples, and the expected covariance of their differences.
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors
     go into the limbs, so that they do not show in the difference. Raises NotEnoughData for fewer than FEWEST poses
@@ -165,10 +167,10 @@ def held_out_limb_poses(samples: Samples, nominal: Hexapod, sigma: float) -> tup
     matrices, expected = np.empty((len(samples), 4, 4)), np.empty((len(samples), 6, 6))
     alone = replace(samples, common=samples.common[:, :, :0])
     for k in np.unique(fold):
-        limbs, _ = calibrate_limbs(samples.take(fold != k), nominal, sigma)
+        limbs, _ = calibrated_limbs_and_identification(samples.take(fold != k), nominal, sigma)
         part = samples.take(fold == k)
         T = limbs.pose(part.commanded)
-        apart, _ = calibrate_limbs(
+        apart, _ = calibrated_limbs_and_identification(
             alone.take(fold != k), nominal, sigma
         )  # what the fit's own noise adds, vision's shared errors aside
         own, common = apart.uncertainty(T)

@@ -37,7 +37,7 @@ from calib.certification.possible_machine_draws import (
     draw_strut_deviation_sizes,
 )
 from calib.certification.strut_deviation_size_sampler_and_possible_machine_errors import Machines
-from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.gaussian_process_interpolation import Radial
 from calib.correction.machine_correction import (
     AnyCorrection,
     Correction,
@@ -89,7 +89,7 @@ class Certified:
     left: HeldErrors | None = None
 
 
-def platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> Floats:
+def corrected_platform_pose_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> Floats:
     """Covariance (n, 6, 6) of the corrected platform's pose at poses (n,).
 
     Parameters and strut deviations.
@@ -121,7 +121,7 @@ def certify_platform(
     progress : called with (label, done, of), or None
     """
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
-    report = progress or silent_progress
+    report = progress or ignore_progress
     report("fitting the geometry", 0, 1)
     alone = identify_geometry(samples, nominal)
     first = uncertified_geometry(nominal, alone, label)
@@ -164,7 +164,7 @@ def uncertified_geometry(nominal: Parallel, identified: Identified, label: Integ
     return Certified(plain, identified, label, None)
 
 
-def silent_progress(label: str, done: int, of: int) -> None:
+def ignore_progress(label: str, done: int, of: int) -> None:
     """Progress callback that reports nothing."""
 
 

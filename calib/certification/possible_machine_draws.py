@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certification.held_out_pose_errors_and_distinct_configurations import axis_travel_limits
-from calib.certification.strut_deviation_covariance_functions import (
+from calib.certification.strut_deviation_covariance_functions_by_cause import (
     CONDITION,
     CONFIGURATION,
     PLACE,

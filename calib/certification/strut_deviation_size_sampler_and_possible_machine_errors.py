@@ -16,7 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.certification.strut_deviation_covariance_functions import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component
+from calib.certification.strut_deviation_covariance_functions_by_cause import (
+    CONDITION,
+    CONFIGURATION,
+    PLACE,
+    SAMPLE,
+    Component,
+)
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.formats.numbers_and_units import number_text
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.correction import timed_command_sequence_and_pose_space_correction_map
 from calib.correction.interpolation.delaunay_interpolation_and_grid_interpolation_kernels import Delaunay
-from calib.correction.interpolation.gaussian_process import Radial, RadialMap
+from calib.correction.interpolation.gaussian_process_interpolation import Radial, RadialMap
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     Field,
     FieldSamples,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.correction.interpolation.gaussian_process import Radial, RadialMap
+from calib.correction.interpolation.gaussian_process_interpolation import Radial, RadialMap
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     Field,
     RestrictedMap,

@@ -141,10 +141,11 @@ def axis_correction_tables(correction: AnyCorrection, count: int) -> JointTables
     return JointTables(levels, trims, left)
 
 
-def grid_correction_table(correction: AnyCorrection, divisions: int, fill: float = FILL) -> tuple[Floats, Floats]:
-    """Correction table on a grid.
+def grid_commands_and_corrections(
+    correction: AnyCorrection, divisions: int, fill: float = FILL
+) -> tuple[Floats, Floats]:
+    """Commands x on an even grid, and their corrections k.
 
-    The grid is even.
     x + k is to be commanded for x.
 
     Returns (x, k), both (vertices, axes) m or rad

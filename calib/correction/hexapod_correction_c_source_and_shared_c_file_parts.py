@@ -131,7 +131,7 @@ def correction_c_source(
     geometry.array("ZERO", fitted.strut_zeros, shape="[6]")
     geometry.array("GAP", gaps, shape="[6]")
     parts = [define_c_function_of_gaussian_process(tables, one) for one in correction.remainder if one is not None]
-    settled = append_add_remainder_c_function(tables, correction.extension, parts)
+    settled = append_add_remainder_if_any(tables, correction.extension, parts)
     maps = _pose_maps(tables, correction)
     return CSource(
         joined_c_parts(
@@ -302,10 +302,10 @@ def effect_compensation_c_functions(effects: EffectsInC) -> tuple[str, ...]:
     return "\n".join(lines), c_source_part("effects")
 
 
-def append_add_remainder_c_function(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
-    """Append the C function add_remainder.
+def append_add_remainder_if_any(tables: CTables, extension: Field | None, axis_functions: list[list[str]]) -> bool:
+    """Append the C function add_remainder where there is a remainder; return whether there is.
 
-    It is the residual correction over joint space. Returns whether there is any.
+    It is the residual correction over joint space.
     axis_functions : names of the functions that add the remainder of each axis that has one
     Returns whether there is any
     """

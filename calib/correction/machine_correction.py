@@ -14,8 +14,8 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correction.interpolation import gaussian_process
-from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation import gaussian_process_interpolation as gaussian_process
+from calib.correction.interpolation.gaussian_process_interpolation import Radial
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, RestrictedMap
 from calib.correction.interpolation.interpolation_on_grid_of_samples import Simplex
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import PoseMap

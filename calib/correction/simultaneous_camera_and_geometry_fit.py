@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.gaussian_process_interpolation import Radial
 from calib.correction.machine_correction import Correction
 from calib.identify.bounded_and_robust_least_squares_fit import Linear, fit_least_squares
 from calib.models.platform.platform_identification import PRIOR, Identified, pose_parameter_jacobian

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.platform.linearisation_operating_point import (
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import linearise
 from calib.models.arm import arm_error_model_and_instrument_observations
 from calib.models.arm.arm_identification_and_joint_profiles import independent_arm_parameter_mask
-from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.machine_parameters_and_file_entries import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.platform_identification import PRIOR
 from calib.models.platform.strut_loop_closure_equations import loop_covariance
 from rig.array_and_json_types import Floats

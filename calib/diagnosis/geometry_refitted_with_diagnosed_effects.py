@@ -16,11 +16,11 @@ from calib.certification.platform_certification import (
     Certified,
     Progress,
     certified_with_machine_draws_and_covariance,
-    silent_progress,
+    ignore_progress,
 )
 from calib.correction.machine_correction import AnyCorrection
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Physics, Unknown
-from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     effects_shown_by_instruments,
@@ -35,7 +35,7 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
-    operating_point_of_recording,
+    operating_point_source_and_measurement,
     remove_corners_far_from_prediction,
 )
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
@@ -45,7 +45,7 @@ from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_va
 )
 from calib.diagnosis.recording_diagnosis import Diagnosis
 from calib.diagnosis.report.diagnosis_json_entries import SCHEMA, UNKNOWN
-from calib.diagnosis.smooth_curves_for_unexplained_axis_errors import (
+from calib.diagnosis.smooth_curve_choice_for_unexplained_axis_errors import (
     arm_fit_with_curves_for_unexplained,
     refinement_with_curves_for_unexplained,
 )
@@ -243,9 +243,9 @@ def refit_platform_with_findings(
     Raises RigError for a machine without struts, and what refining raises
     """
     nominal = require_parallel(recording.design.mechanism)
-    report = progress or silent_progress
+    report = progress or ignore_progress
     report("refining physics and geometry jointly", 0, 1)
-    point, _, _ = operating_point_of_recording(recording, progress, sampled=sampled)
+    point, _, _ = operating_point_source_and_measurement(recording, progress, sampled=sampled)
     point = operating_point_with_marker_swaps_corrected(point, [e for e in findings.effects if e.discrete])
     point = point.with_effects(e for e in findings.effects if not e.discrete)
     wild = find_outliers(point, _pose_covariance(point, sampled))
@@ -368,7 +368,7 @@ def refit_arm_with_findings(
     The arm's geometry and the findings' parameters fitted together.
     Raises RigError where neither poses nor positions were measured, and what identifying raises
     """
-    report, samples, design = progress or silent_progress, sampled.samples, recording.design
+    report, samples, design = progress or ignore_progress, sampled.samples, recording.design
     nominal = require_arm(design.mechanism)
     if samples.measured in UNPLACED and samples.measured != "direction":
         raise RigError(

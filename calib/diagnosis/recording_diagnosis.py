@@ -18,7 +18,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     Site,
     StatedTerms,
 )
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection, search_further_terms, select_terms
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Model, Problem, Progress
@@ -47,7 +47,7 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
 )
 from calib.models.platform.platform_identification import require_followers_of_redundant_platform
 from calib.samples.commanded_and_measured_pose_samples import Sampled
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_recordings
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confounds_of_recordings
 from rig.effects.catalogue.effect_list import ALL, Plugin
 from rig.effects.framework.effect_base_class import Effect
 from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin

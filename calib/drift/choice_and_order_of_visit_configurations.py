@@ -22,7 +22,7 @@ from calib.drift.visit_equations_and_reference import (
     require_watchable_calibrated_machine,
 )
 from calib.models.calibration_covariance_parameters import covariance_parameters
-from calib.models.platform.optimal_calibration_poses import configurations_outside_exclusion
+from calib.models.platform.d_optimal_hexapod_configurations import configurations_outside_exclusion
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import are_nominal_poses_out_of_corrected_reach
 from rig.array_and_json_types import Floats, Integers
 from rig.errors import RigError

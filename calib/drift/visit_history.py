@@ -37,7 +37,7 @@ from rig.recording.frame_selection_and_content_hashes import (
     sorted_hashes_of_frames,
 )
 from rig.recording.recording_folder import Recording
-from vision.rolling_shutter_readout_time import rolling_shutter_row_time
+from vision.rolling_shutter_row_time_and_readout_result import rolling_shutter_row_time
 
 LATEST = 8  # latest visits that a change may have begun with; older ones are one
 BELIEVED = 200  # numbers' worth of belief that covariances are right, against which quiet visits' scatter counts

@@ -64,7 +64,7 @@ from vision.marker_corner_prediction import (
     is_inside_image,
     marker_map,
     predict_sightings,
-    sightings_of_markers_facing_cameras,
+    sightings_facing_cameras_anywhere,
 )
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
@@ -164,7 +164,7 @@ def predicted_operating_point(
         noise = rng.multivariate_normal(np.zeros(6), typical, F)
         return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
     markers, state = marker_map(here.stated), State(design.cameras, T, {})
-    sightings = sightings_of_markers_facing_cameras(state, markers)
+    sightings = sightings_facing_cameras_anywhere(state, markers)
     uv = predict_sightings(
         sightings, state, markers, plan.t, [*fit.point.effects, *here.seats], sensors, here.run(fit.point.effects)
     )

@@ -15,7 +15,7 @@ from rig.driving.run_steps_from_plan_and_progress_from_journal import steps_of_p
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import Design, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import turning_instructions
+from rig.model.design_contradictions_and_cube_quarter_turns import turning_instructions
 from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import Plan
 

@@ -16,17 +16,17 @@ from typing import cast
 
 import numpy as np
 
-from calib.diagnosis.engine.linear_model import Column, join_columns
+from calib.diagnosis.engine.linear_residual_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     Sensitivities,
-    effect_parameter_directions,
+    effect_coordinates_and_directions,
 )
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, remounted_cube_seats
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import remounted_cube_pose_nuisances
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
-    residual_change_with_only_effects,
+    residual_change_column_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import WARM
@@ -175,7 +175,7 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
     other = here
     for h, fit, T in zip(named, fits, runs):
         at = replace(model, point=here.with_effects(fit.point.effects))
-        columns.append(effect_parameter_directions(at, sensitivities)[1] or _none(model))
+        columns.append(effect_coordinates_and_directions(at, sensitivities)[1] or _none(model))
         other = replace(
             here,
             T=T,
@@ -183,7 +183,7 @@ def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
             seats=remounted_cube_seats(here.design, fit.point.seats),
         ).with_effects(fit.point.effects)
         moved.append(_between(model, here, other))
-        shapes.append(residual_change_with_only_effects(at, _without(fit.point.effects, h.number)))
+        shapes.append(residual_change_column_with_only_effects(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
 
 
@@ -257,7 +257,7 @@ def _cosines(
     own = join_columns(
         [
             Column(
-                residual_change_with_only_effects(
+                residual_change_column_with_only_effects(
                     replace(model, point=model.point.with_effects(fit.point.effects)),
                     _without(fit.point.effects, h.number),
                 ).parts

@@ -1,7 +1,4 @@
-"""Calibration file (calibration.json), saved and loaded.
-
-With its provenance (inputs, data, versions) and the frames it used.
-"""
+"""Calibration file (calibration.json), saved and loaded, with its provenance (inputs, data, versions) and frames."""
 
 import hashlib
 import json
@@ -37,9 +34,9 @@ from calib.files.mechanism_and_physics_entries import (
 from calib.models.arm.arm_certification import CertifiedArm as ArmCertified
 from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.chain.chain_certification_and_page import CertifiedChain as ChainCertified
-from calib.models.machine_models import calibration_with_workspace, machine_model_of_mechanism
+from calib.models.machine_parameters_and_file_entries import calibration_with_workspace, machine_model_of_mechanism
 from calib.samples.commanded_and_measured_pose_samples import Sampled
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_from_entries, confounds_of_samples
+from calib.samples.position_confounds_and_poses_on_one_clock import confounds_from_entries, confounds_of_samples
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import workspace_dict, workspace_from_entries
 from rig.array_and_json_types import Floats, Json
 from rig.effects.catalogue.effect_list import BY_NAME

@@ -29,7 +29,7 @@ from rig.formats.rig_toml.mechanism_entries import (
     couplings_of_tables,
     hands_of_tables,
     json_of_branches_hands_and_couplings,
-    mechanism_of_file,
+    mechanism_of_kinematics_file,
 )
 from rig.model import mechanisms
 from rig.model.arm_hands_effect_places_and_tolerances import Place
@@ -228,7 +228,7 @@ def kinematics_file_mechanism_from_entries(table: Entries) -> FileMechanism:
     Raises FileError for another file.
     """
     table.text("kind", (FileMechanism.kind,))
-    nominal = mechanism_of_file(table, "file", table.text("file"))
+    nominal = mechanism_of_kinematics_file(table, "file", table.text("file"))
     if table.text("sha256") != nominal.stated.sha256:
         table.fail(
             f"{table.name('file')}: {nominal.file} is not the kinematics file that this was made with: its text has "

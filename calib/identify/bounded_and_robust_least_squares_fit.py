@@ -29,12 +29,11 @@ from rig.errors import NotEnoughData, RigError
 NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along
 
 
-def bounded_least_squares_step(
+def bounded_step_and_covariance(
     b: Floats, G: Floats, values: Floats, bounds: Floats, preserved_sums: Floats
 ) -> tuple[Floats, Floats]:
-    """Least-squares step within bounds.
+    """Least-squares step within bounds that keeps some sums of the values, and its covariance.
 
-    It keeps some sums of the values. Returns its covariance too.
     b : (c,) gradient; G : (c, c) information, priors included in both; bounds : (c, 2) bounds; preserved_sums : (k, c)
         sums that the step must not change
     Returns (step (c,), covariance (c, c), which ignores the bounds)

@@ -29,7 +29,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     axis_travel_limits,
     configuration_numbers,
 )
-from calib.certification.platform_certification import Certified, Progress, silent_progress
+from calib.certification.platform_certification import Certified, Progress, ignore_progress
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     correction_with_additional_pass,
     correction_with_pose_space_map,
@@ -72,7 +72,7 @@ from calib.models.chain.chain_correction_over_configuration_space import (
     chain_correction_summands_for_interpolation,
     identified_chain_without_fit,
 )
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from calib.models.platform.platform_identification import Identified
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Booleans, Floats
@@ -142,7 +142,7 @@ def certify_additional_pass(
     Raises NotEnoughData where a part holds no samples; RigError for a pass over poses whose orientations were not
         measured, or lie too far apart; the rest as `certify_extended_correction`
     """
-    correction, report = previous_calibration.correction, progress or silent_progress
+    correction, report = previous_calibration.correction, progress or ignore_progress
     by_pose = requested_pass.space != CONFIGURATION
     if samples.measured != "pose" and (by_pose or correction.posed):
         raise RigError(

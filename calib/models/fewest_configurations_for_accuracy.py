@@ -12,13 +12,13 @@ from typing import cast
 import numpy as np
 
 from calib.correction.machine_correction import indices_and_poses_of_solvable_commands
-from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
-from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
-from calib.models.platform.optimal_calibration_poses import (
+from calib.models.machine_parameters_and_file_entries import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.platform.d_optimal_hexapod_configurations import (
     FILL,
     ConfigurationExclusion,
     configurations_outside_exclusion,
 )
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import PLAUSIBLE
 from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.model import mechanisms

@@ -29,7 +29,7 @@ from calib.correction.timed_command_sequence_and_pose_space_correction_map impor
     timed_route,
     untimed_route,
 )
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from rig.array_and_json_types import Booleans, Floats
 from rig.driving.protocols.controller_poses_for_hexapod_strut_lengths import PoseFrames
 from rig.effects.framework.effect_base_class import Effect

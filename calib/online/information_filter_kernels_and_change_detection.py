@@ -22,7 +22,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from calib.models.platform.strut_loop_closure_equations import Measured, forward_kinematics_kernel, whitened_pose_row
+from calib.models.platform.strut_loop_closure_equations import (
+    Measured,
+    fill_whitened_pose_row,
+    solve_pose_in_place_by_newton,
+)
 from rig.array_and_json_types import Floats
 from rig.compute.numba_compilation_and_kernel_cache_folder import njit
 
@@ -308,7 +312,7 @@ def add_pose_to_estimate_in_place(
     c = len(s)
     k = c + 42
     R, t = machine.home[:3, :3].copy(), machine.home[:3, 3].copy()
-    if not forward_kinematics_kernel(pose.command, p, R, t):
+    if not solve_pose_in_place_by_newton(pose.command, p, R, t):
         return REFUSED
     right, J, motion = np.empty((6, 7 + c)), np.zeros((6, 42)), np.empty((6, 6))
     _frame_motion(R, t, motion)
@@ -317,7 +321,9 @@ def add_pose_to_estimate_in_place(
             right[i, 1 + j] = pose.common[i, j]
         for j in range(6):
             right[i, 1 + c + j] = motion[i, j]
-    well, struts = whitened_pose_row(R, t, p, Measured(pose.R, pose.t, pose.covariance), machine.variance, right, J)
+    well, struts = fill_whitened_pose_row(
+        R, t, p, Measured(pose.R, pose.t, pose.covariance), machine.variance, right, J
+    )
     if not well:
         return REFUSED
     _begin(S, sums, onset_index)

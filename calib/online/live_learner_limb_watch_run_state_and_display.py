@@ -27,7 +27,7 @@ from rig.model.design import Design
 from rig.model.mechanism_geometry_classes import Hexapod
 from rig.model.pose import pose_difference
 from vision.reading.live_measurement_and_corner_refit import Sight
-from vision.reading.live_run_camera_and_marker_alarms import Alarm
+from vision.reading.moved_camera_and_covered_marker_alarms import Alarm
 
 LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad measurement, five are a drift
 
@@ -160,7 +160,7 @@ class LimbWatch:
                     np.array(covariances),
                     np.zeros((measuring_limb_calibration_slips_and_vision_agreement.FEWEST, 6, 0)),
                 )
-                limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(
+                limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
                     samples,
                     measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(self._design, chosen),
                     self._stated.length_sigma,

@@ -35,7 +35,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import require_hexapod
 from rig.recording.frame_selection_and_content_hashes import select_frames
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice
 from vision.recording_measurement import measure_recording
 
 IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vision that is wrong
@@ -142,7 +142,7 @@ def limb_poses(recording: Recording, accepted: Accepted) -> LimbPoses:
     They are of the frames whose exposures have readings, by the six limbs that give poses.
     Raises as insitu.readings does, NotConverged for readings that close on no pose
     """
-    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(recording)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
 

@@ -49,7 +49,7 @@ from rig.model import mechanisms
 from rig.model.design import Design
 from rig.planning.recording_plan import axis_strokes
 from vision.reading.live_measurement_and_corner_refit import Live, Sight, sight_from_measuring_limbs
-from vision.reading.live_run_camera_and_marker_alarms import Alarm, Watch
+from vision.reading.moved_camera_and_covered_marker_alarms import Alarm, Watch
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
 LOGGED = 60  # events that are kept for displays

@@ -35,7 +35,7 @@ from rig.recording.frame_selection_and_content_hashes import (
 )
 from rig.recording.recording_folder import Recording
 from vision.api import Progress
-from vision.checks.recording_refusal_and_uneven_cube_remarks import Notice
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
 NONE = np.zeros(0)

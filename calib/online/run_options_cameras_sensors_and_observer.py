@@ -24,7 +24,7 @@ from rig.driving.axis_driver import Driver
 from rig.driving.cameras import open_camera
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
     SynchronisedCameras,
-    set_exposure_for_markers,
+    set_marker_exposure_and_measure_white,
 )
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.driving_clock import Clock
@@ -46,8 +46,8 @@ from vision.marker_corner_prediction import expected_marker_rows_and_corners_in_
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_platform_and_moving_cameras
 from vision.reading.live_measurement_and_corner_refit import Live
-from vision.reading.parallel_image_map_marker_images_and_white_level import (
-    marker_white_level,
+from vision.reading.parallel_image_map_rendered_markers_and_white_level import (
+    marker_white_level_and_clipped_share,
     render_marker_images,
     save_image,
 )
@@ -294,8 +294,10 @@ def set_camera_exposures_and_report_lines(
                 + (", as before" if stated_exposure is None else "")
             )
         else:
-            made[name], level = set_exposure_for_markers(
-                source, partial(marker_white_level, camera=design.camera(name), markers=markers), FIRST_EXPOSURE
+            made[name], level = set_marker_exposure_and_measure_white(
+                source,
+                partial(marker_white_level_and_clipped_share, camera=design.camera(name), markers=markers),
+                FIRST_EXPOSURE,
             )
             lines.append(f"camera {name!r}: exposure {made[name] * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
     return made, lines

@@ -25,7 +25,7 @@ from rig.report.pages.html_and_svg_elements import (
     paragraph_html,
     table_html,
 )
-from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_patch_means, image_plane_figure
+from rig.report.pages.image_plane_and_3d_views import Arrows, Cells, image_patch_centres_and_means, image_plane_figure
 from rig.report.pages.page_templates_and_index_page import Link, Page, write_page
 from rig.report.pages.svg_plots import Series, figures_side_by_side_html, plot_panel_svg
 from vision import measured_frame_drawings_and_frame_jpegs
@@ -253,7 +253,7 @@ def _residual_map(m: Measurement, i: int) -> str:
         return image_plane_figure(camera.name, "no corners", size, ())
     uv, r = m.observations.uv[rows], m.residuals[rows]
     cell = camera.width / CELLS
-    centre, means = image_patch_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
+    centre, means = image_patch_centres_and_means(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
     mean, rms = means[:, :2], np.sqrt(means[:, 2])
     longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
     return image_plane_figure(

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.certification.calibration_evidence_verdict_and_claim_check import ALONE, OfCalibrations
 from calib.certification.measuring_limb_calibration_slips_and_vision_agreement import AXES, MOVES, Agreement
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Floats, Integers
 from rig.formats.numbers_and_units import count_text
 from rig.report.pages.html_and_svg_elements import (

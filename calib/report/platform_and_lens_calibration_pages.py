@@ -8,7 +8,7 @@ import numpy as np
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration, claim_lines
 from calib.certification.calibration_evidence_verdict_and_claim_check import calibration_verdict
 from calib.certification.held_out_pose_error_statistics import Figures, HeldOut, errors_before_and_after_correction
-from calib.correction.interpolation.gaussian_process import Radial
+from calib.correction.interpolation.gaussian_process_interpolation import Radial
 from calib.correction.machine_correction import Correction
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     parameter_combinations_and_visibility,

@@ -21,8 +21,8 @@ from rig.effects.sketches.motion_effect_sketches import (
     enlargement_text,
     example_run_with_effect,
     hexapod_design_for_sketches,
-    largest_suitable_unit,
     place_and_changed_values_text,
+    value_in_largest_suitable_unit,
 )
 from rig.errors import RigError
 from rig.model import machine_motion_simulation as motion_simulation
@@ -336,7 +336,7 @@ def effect_sketch(kind: type[Effect], factor: float = 1.0) -> Sketch:
     size = np.sqrt(np.mean(np.sum((found - true) ** 2, axis=-1), axis=(1, 2)))
     if np.ptp(size) <= CHANGES * size.max():
         return Sketch(place_and_changed_values_text(run.effect), (picture,))
-    scale, unit = largest_suitable_unit(run.t[-1], TIMES)
+    scale, unit = value_in_largest_suitable_unit(run.t[-1], TIMES)
     through = plot_panel_svg(
         "Through time", (f"time, {unit}", "RMS, px"), [Series(run.t / scale, size, "", "line", 1)], high=HIGH
     )

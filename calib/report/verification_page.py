@@ -22,7 +22,7 @@ from calib.certification.held_out_pose_error_statistics import Figures, HeldOut
 from calib.certification.redundant_strut_length_conflict_causing_internal_forces import StrutConflict
 from calib.report.pose_and_effect_figures import correction_error_figures, pose_coverage_figures, rig_scene
 from calib.samples.commanded_and_measured_pose_samples import Samples
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds
 from rig.array_and_json_types import Floats, Integers
 from rig.formats.numbers_and_units import count_text
 from rig.model.design import Design

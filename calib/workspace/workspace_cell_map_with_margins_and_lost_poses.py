@@ -48,8 +48,8 @@ def correction_that_corrects_nothing(correction: AnyCorrection) -> AnyCorrection
     )
 
 
-def reachable_poses_and_loss(machine: AnyCorrection, other: AnyCorrection, commands: Floats) -> MachineReach:
-    """Reachable poses of one machine at commands (n, axes), and which of them another machine loses.
+def reachable_poses_with_lost_mask(machine: AnyCorrection, other: AnyCorrection, commands: Floats) -> MachineReach:
+    """Reachable poses (MachineReach) of a machine at commands (n, axes), and a mask of those another loses.
     Raises NotConverged where none of them closes on a pose.
     """
     commands, T = solvable_commands_and_poses(commands, machine)
@@ -167,8 +167,8 @@ def map_workspace(correction: AnyCorrection, covariance: Covariance, count: int 
     drawn = evenly_spread_configurations(nominal, count, 1.0)
     owner = correction_that_corrects_nothing(correction)
     believed, real = (
-        reachable_poses_and_loss(owner, correction, drawn),
-        reachable_poses_and_loss(correction, owner, drawn),
+        reachable_poses_with_lost_mask(owner, correction, drawn),
+        reachable_poses_with_lost_mask(correction, owner, drawn),
     )
     short = not is_parallel(nominal) and len(nominal.axes) < 6
     lost, gained = (np.zeros(len(one.out), bool) if short else one.out for one in (believed, real))

@@ -16,7 +16,13 @@ from matplotlib.figure import Figure
 from docs.make.project import rig
 from rig.formats.rig_toml.design_from_rig_toml import load_design
 from rig.report.pages.page_templates_and_index_page import standalone_svg
-from synthetic.printable_target_sheets import PAPER, blank_sheet, draw_cube_assembly_page, draw_sheet, sheets_of_target
+from synthetic.printable_target_sheets import (
+    PAPER,
+    blank_sheet_figure_and_axes,
+    draw_cube_assembly_page,
+    draw_sheet,
+    sheets_of_target,
+)
 
 DOCS = Path(__file__).parents[1]
 TUTORIAL, FOLDER = DOCS / "tutorial-simulated.md", DOCS / "figures"
@@ -67,10 +73,10 @@ def printed() -> Iterator[tuple[str, Figure]]:
     rig("new", "design", *OWN, "--out", "own.toml")
     design = load_design(Path("own.toml"))
     pages = [page for target in design.targets for page in sheets_of_target(target, "A4")]
-    figure, axes = blank_sheet(pages[0].paper)
+    figure, axes = blank_sheet_figure_and_axes(pages[0].paper)
     draw_sheet(axes, pages[0])
     yield "sheet", figure
-    figure, axes = blank_sheet(PAPER["A4"])
+    figure, axes = blank_sheet_figure_and_axes(PAPER["A4"])
     draw_cube_assembly_page(axes, design, PAPER["A4"], len(pages))
     yield "assembly", figure
 

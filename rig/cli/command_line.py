@@ -21,9 +21,9 @@ def main(argv: list[str] | None = None) -> int:
     """
     words, begun = sys.argv[1:] if argv is None else argv, None
     if words[:1] == ["stop"]:
-        from rig.cli.urgent_stop_before_slow_imports import begin_urgent_stop_of_command_words
+        from rig.cli.urgent_stop_before_slow_imports import begin_urgent_stop_or_return_error
 
-        begun = begin_urgent_stop_of_command_words(words[1:])
+        begun = begin_urgent_stop_or_return_error(words[1:])
     from rig.cli.command_parser_execution_and_exit_status import run_command_line_words
 
     return run_command_line_words(words, main, begun)

@@ -67,9 +67,9 @@ def arguments_of_kernels(parser: ArgumentParser) -> None:
 
 
 def run_kernels(arguments: Namespace) -> None:
-    """Run `rig doctor kernels`.
+    """Run `rig doctor kernels`: compile what runs and measurements of a rig take.
 
-    Compile what runs and measurements of a rig take, so that no later command waits for it.
+    No later command waits for it then.
     """
     from calib.online.run_options_cameras_sensors_and_observer import compile_kernels_for_run
     from rig.formats.rig_toml import design_from_rig_toml

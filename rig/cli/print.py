@@ -1,4 +1,4 @@
-"""rig print: print the cubes of a rig.
+"""rig print: print the cubes of a rig, and check a printed sheet by a photograph.
 
 Cubes of a rig.toml are written as sheets to print true to scale (PDF), or as STL bodies. `rig print check` measures a
 printed sheet by a photograph: the true side of its markers.

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from rig.errors import RigError
 
 
-def begin_urgent_stop_of_command_words(words: list[str]) -> UrgentStop | RigError | OSError | KeyboardInterrupt | None:
-    """Begin the urgent stop that the words after `rig stop` command.
+def begin_urgent_stop_or_return_error(words: list[str]) -> UrgentStop | RigError | OSError | KeyboardInterrupt | None:
+    """Begin the urgent stop that the words after `rig stop` command; return it, or the error that it met.
 
-    Returns what went wrong with it, to be raised by the command; None where the words or the rig.toml cannot be
+    The error is to be raised by the command; None where the words or the rig.toml cannot be
     understood here, and nothing was done
     """
     with real_time_priority():

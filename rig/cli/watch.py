@@ -1,6 +1,5 @@
-"""rig watch: watch a calibration's drift.
+"""rig watch: watch a calibration's drift by small visits, recordings repeated from time to time.
 
-By small visits.
 Whether it still holds, what changed.
 """
 

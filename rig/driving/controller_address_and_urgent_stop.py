@@ -14,7 +14,7 @@ from typing import NamedTuple
 from rig.driving.controller_lock_and_stop_of_its_holder import (
     ControllerLock,
     ask_lock_holder_to_end,
-    await_end_of_lock_holder,
+    await_or_kill_lock_holder,
 )
 from rig.driving.driving_clock import Clock
 from rig.driving.newport_function_call_tcp_port import NewportPort
@@ -122,10 +122,10 @@ def _stop_bytes(protocol: str, path: str | os.PathLike[str]) -> bytes | None:
         return STOPS.get(protocol)
     from pathlib import Path  # these take time, and other protocols do without
 
-    from rig.formats.user_python_file_reading_and_running import literal_in_class_body, read_user_text
+    from rig.formats.user_python_file_reading_and_running import literal_in_class_body, read_user_text_and_sha256
 
     try:
-        stop = literal_in_class_body(read_user_text(Path(path).parent / place)[0], "urgent_stop")
+        stop = literal_in_class_body(read_user_text_and_sha256(Path(path).parent / place)[0], "urgent_stop")
     except FileError:
         return None
     return stop if isinstance(stop, bytes) else None
@@ -177,7 +177,7 @@ class UrgentStop:
     def await_holder(self, timeout: float) -> None:
         """Return once the holder drives no more; it is killed after `timeout` (s). Raises RigError where that fails."""
         if self.holder is not None:
-            await_end_of_lock_holder(self.holder, self._address.port or self._address.usb, self.clock, timeout)
+            await_or_kill_lock_holder(self.holder, self._address.port or self._address.usb, self.clock, timeout)
 
     def stopped_controller(self) -> StoppedController:
         """The controller, sent its urgent stop once. Raises what stop_controller_urgently_and_hold_it raises."""

@@ -245,10 +245,9 @@ def ask_lock_holder_to_end(port: str, usb_id: str = "") -> LockHolder | None:
     return holder
 
 
-def await_end_of_lock_holder(holder: LockHolder, port: str, clock: Clock, timeout: float) -> None:
-    """Await that a process asked to end no longer holds its lock.
+def await_or_kill_lock_holder(holder: LockHolder, port: str, clock: Clock, timeout: float) -> None:
+    """Await that a process asked to end no longer holds its lock, and kill it after `timeout` (s).
 
-    It is killed after `timeout` (s).
     port : of the controller, for messages
     Raises RigError where it does not let go
     """

@@ -22,7 +22,7 @@ from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras
 from rig.driving.controller_status_and_limits import PositionReport
 from rig.driving.driver_opening_and_settling import Settling
 from rig.driving.driving_clock import Clock
-from rig.driving.exposures_in_motion import (
+from rig.driving.frames_exposed_during_move import (
     FramesDuringMove,
     interpolated_reported_strut_lengths,
     journal_row_of_position_reports,

@@ -14,7 +14,7 @@ import threading
 from collections import deque
 
 from rig.driving.driving_clock import Clock
-from rig.driving.tcp_socket_by_url import connect_tcp_socket
+from rig.driving.tcp_socket_opening_by_url import connect_tcp_socket
 from rig.errors import LinkLost
 
 SCHEME = "xps"

@@ -30,7 +30,7 @@ import serial
 from rig.driving import newport_function_call_tcp_port, universal_robots_real_time_interface_port
 from rig.driving.driving_clock import Clock
 from rig.driving.newport_function_call_tcp_port import NewportPort
-from rig.driving.tcp_socket_by_url import connect_tcp_socket
+from rig.driving.tcp_socket_opening_by_url import connect_tcp_socket
 from rig.driving.universal_robots_real_time_interface_port import UniversalRobotsPort
 from rig.errors import LinkLost, MissingLibrary
 from rig.model.protocol_port_and_user_program_name_checks import port_problem

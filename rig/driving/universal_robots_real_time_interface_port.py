@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from rig.driving.driving_clock import Clock
-from rig.driving.tcp_socket_by_url import connect_tcp_socket
+from rig.driving.tcp_socket_opening_by_url import connect_tcp_socket
 from rig.errors import LinkLost
 
 SCHEME = "ur"

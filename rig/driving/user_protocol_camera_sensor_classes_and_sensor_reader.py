@@ -64,8 +64,10 @@ def refuse_programs_of_untrusted_rig_toml(path: Path, design: Design) -> None:
         )
 
 
-def load_user_class(file_or_package: str, base: type[T], group: str, class_description: str) -> tuple[type[T], str]:
-    """Load a user's class of "file:PATH" or "package:NAME".
+def load_user_class_and_its_file(
+    file_or_package: str, base: type[T], group: str, class_description: str
+) -> tuple[type[T], str]:
+    """Load a user's class of "file:PATH" or "package:NAME", and the name of its file.
 
     group : of the package's entry points; class_description : the class is, for messages
     Returns (class derived from a base, the file that defines it)
@@ -238,7 +240,7 @@ class UserSensorReader(SensorReader):
 
     def __init__(self, stated: SensorPort) -> None:
         """Raises FileError or RigError where the program cannot be used."""
-        kind, path = load_user_class(stated.port, UserSensors, GROUP, "sensors")
+        kind, path = load_user_class_and_its_file(stated.port, UserSensors, GROUP, "sensors")
         if kind.read is UserSensors.read:
             raise user_class_error(path, kind, "lacks read, which returns {channel: value}")
         self._stated, self._path, self._owner = stated, path, kind.__name__

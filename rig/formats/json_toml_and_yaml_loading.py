@@ -189,11 +189,8 @@ class Places(Mapping[KeyPath, Place]):
         return len(self._found)
 
 
-def first_repeated_key(text: str) -> tuple[str, Place] | None:
-    """The first repeated key of a JSON text, or None.
-
-    With the position of its second value.
-    """
+def first_repeated_key_and_position(text: str) -> tuple[str, Place] | None:
+    """The first repeated key of a JSON text with the position of its second value, or None."""
     seen = set()
     for path, at in _json_values(text):
         if path and path in seen:
@@ -214,7 +211,7 @@ def dict_refusing_repeated_keys(key_value_pairs: list[tuple[str, object]]) -> Js
 
 
 class RepeatedKey(ValueError):
-    """A JSON text has a table with a key that occurs twice; see `first_repeated_key`."""
+    """A JSON text has a table with a key that occurs twice; see `first_repeated_key_and_position`."""
 
 
 def _json_values(text: str) -> Iterator[tuple[KeyPath, int]]:
@@ -253,7 +250,10 @@ def load_json(path: Path, file_kind: str, *schemas: str) -> Entries:
     try:
         tree = json.loads(text, object_pairs_hook=dict_refusing_repeated_keys)
     except RepeatedKey:
-        key, place = (first_repeated_key(text) if len(text) <= LARGEST_INDEXED else None) or ("some key", (None, None))
+        key, place = (first_repeated_key_and_position(text) if len(text) <= LARGEST_INDEXED else None) or (
+            "some key",
+            (None, None),
+        )
         raise FileError(path, f"key {short_repr(key)} occurs twice in one table: which applies?", *place, key) from None
     except json.JSONDecodeError as error:
         raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None

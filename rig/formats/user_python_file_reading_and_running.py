@@ -43,8 +43,8 @@ class UserModule:
         return line_of_class(self.text, kind.__name__, field)
 
 
-def read_user_text(path: Path) -> tuple[str, str]:
-    """Read the text of a user's Python file.
+def read_user_text_and_sha256(path: Path) -> tuple[str, str]:
+    """Read the text of a user's Python file, with its SHA-256.
 
     Returns (text, SHA-256 of the bytes)
     Raises FileError, with the line for what is no text.
@@ -87,7 +87,7 @@ def load_user_module(path: Path) -> UserModule:
 
     Raises FileError, with the line, where it cannot be read or run.
     """
-    text, digest = read_user_text(path)
+    text, digest = read_user_text_and_sha256(path)
     return UserModule(path, text, digest, run_user_text_as_module(text, path))
 
 

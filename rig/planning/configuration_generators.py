@@ -103,8 +103,8 @@ def divided_grid_configurations(strokes: Floats, division: str) -> Floats:
     )
 
 
-def parse_grid_division(axes: int, text: str) -> tuple[list[int], float]:
-    """Grid division parsed.
+def parse_grid_parts_and_stroke_share(axes: int, text: str) -> tuple[list[int], float]:
+    """Parts of each axis, and share of the strokes, parsed from the text of a grid division.
 
     Returns (parts of each axis, share of the strokes)
     Raises RigError where it is none.
@@ -126,7 +126,7 @@ def parse_grid_division(axes: int, text: str) -> tuple[list[int], float]:
 
 
 def _levels_of_text(strokes: Floats, text: str) -> list[Floats]:
-    counts, fill = parse_grid_division(len(strokes), text)
+    counts, fill = parse_grid_parts_and_stroke_share(len(strokes), text)
     middle, half = strokes.mean(axis=1), fill * np.ptp(strokes, axis=1) / 2
     return [middle[i] + half[i] * np.linspace(-1, 1, count + 1) for i, count in enumerate(counts)]
 

@@ -19,7 +19,7 @@ from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.design_comparison_and_cube_turning_instructions import find_cube_of_text
+from rig.model.design_contradictions_and_cube_quarter_turns import cube_name_or_problem
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import is_redundant, require_axes
 from rig.model.mechanisms.redundant_strut_best_six_legs_and_loop_closures import nearest_compatible_strut_lengths
 from rig.planning.configuration_generators import (
@@ -28,7 +28,7 @@ from rig.planning.configuration_generators import (
     divided_grid_configurations,
     grid_configurations,
     iso9283_five_test_pose_commands,
-    parse_grid_division,
+    parse_grid_parts_and_stroke_share,
     scale_to_strokes,
     simplex_configurations,
     single_axis_pose_commands,
@@ -287,7 +287,7 @@ def _turn(writer: PlanWriter, design: Design, cube: str, rng: np.random.Generato
     """A cube put back turned by a quarter turn before the plan begins. Raises RigError for a cube that there is not, or
     a plan that has begun.
     """
-    name, problem = find_cube_of_text(cube, design.targets)
+    name, problem = cube_name_or_problem(cube, design.targets)
     if problem:
         raise RigError(f"a plan cannot turn it: {problem}")
     if writer.exposures:
@@ -317,7 +317,9 @@ def _commands(writer: PlanWriter, design: Design, file: str, rng: np.random.Gene
 def _division(writer: PlanWriter, design: Design, text: str, rng: np.random.Generator) -> None:
     strokes = axis_strokes(design)
     if not text.endswith(".csv"):
-        each = float(np.prod([count + 1.0 for count in parse_grid_division(len(strokes), text or "2")[0]]))
+        each = float(
+            np.prod([count + 1.0 for count in parse_grid_parts_and_stroke_share(len(strokes), text or "2")[0]])
+        )
         _refuse_beyond("division", text, each, len(writer.exposures), f"division:{text}")
     writer.visit(divided_grid_configurations(strokes, text or "2"))
 

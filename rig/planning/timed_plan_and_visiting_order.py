@@ -24,7 +24,7 @@ from rig.formats.csv_and_parquet_tables_and_time_origin import TimeOrigin, parse
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.model import mechanisms
 from rig.model.design import Design
-from rig.model.design_comparison_and_cube_turning_instructions import COLUMN, QUARTERS, find_cube_of_text
+from rig.model.design_contradictions_and_cube_quarter_turns import COLUMN, QUARTERS, cube_name_or_problem
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_links
 from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.recording.recording_folder import PAYLOAD, Commands, require_follower_joint_values_match_leaders
@@ -314,7 +314,7 @@ def _cubes(rows: csv_and_parquet_tables_and_time_origin.Table, design: Design) -
     for column in rows.columns:
         if not column.startswith(COLUMN):
             continue
-        name, problem = find_cube_of_text(column.removeprefix(COLUMN), design.targets)
+        name, problem = cube_name_or_problem(column.removeprefix(COLUMN), design.targets)
         if problem:
             raise FileError(
                 rows.path, f"column {short_repr(column)}: {problem}", 1, rows.columns.index(column) + 1, column

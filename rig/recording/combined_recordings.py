@@ -17,10 +17,7 @@ from rig.array_and_json_types import Integers
 from rig.errors import RigError
 from rig.formats import local_and_remote_input_files
 from rig.model.design import Camera, Design, Target
-from rig.model.design_comparison_and_cube_turning_instructions import (
-    design_contradictions,
-    is_same_lens_sensor_and_mount,
-)
+from rig.model.design_contradictions_and_cube_quarter_turns import design_contradictions, is_same_lens_sensor_and_mount
 from rig.recording.corner_and_pose_csv_tables import Corners, Poses
 from rig.recording.exposures_and_image_files import Exposures
 from rig.recording.recording_folder import PAYLOAD, Commands, Recording, RecordingPart, Sensors

@@ -83,8 +83,8 @@ VECTOR = ("x", "y", "z")
 UNIT_LENGTH = 1e-6  # that a direction's length may differ from one
 
 
-def read_poses_csv_of_directions(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
-    """Read a poses.csv of directions.
+def read_direction_table_and_unit_vectors(path: str | Path, form: TableFormat = PLAIN) -> tuple[Table, Floats]:
+    """Read a poses.csv of directions: its Table, and unit vectors.
 
     form : of the file
     Returns (Table, unit vectors (n, 3)) of columns azimuth and elevation (rad), or x, y and z
@@ -292,7 +292,7 @@ def load_instrument_poses(
         alone = instrument is not None and instrument.rotation_sigma is None
         return load_poses(path, known_frames, alone, form=form, hands=hands)
     if kind == "direction":
-        rows, directions = read_poses_csv_of_directions(path, form)
+        rows, directions = read_direction_table_and_unit_vectors(path, form)
         return Poses(frame_numbers_of_rows(rows, known_frames), poses_pointing_along(directions), None)
     columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
     rows = csv_and_parquet_tables_and_time_origin.read_csv_table(path, ("frame", *columns))

@@ -182,14 +182,15 @@ def unusable_images_error(unusable: list[UnreadableImage]) -> FileError:
 def undecodable_image_problem(path: Path) -> str | None:
     """Problem of an undecodable image, or None."""
     try:
-        read_image(path)
+        read_grey_or_colour_image(path)
     except FileError as error:
         return str(error).split(": ", 1)[1]
     return None
 
 
-def read_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
-    """Read an image (rows, columns) or (rows, columns, 3).
+def read_grey_or_colour_image(path: Path, max_pixels: int = MOST_PIXELS) -> Pixels:
+    """Read an image as it is stored: grey (rows, columns), or colour (rows, columns, 3).
+
     max_pixels : px that it may have.
 
     Raises FileError for one that cannot be decoded

@@ -1,7 +1,4 @@
-"""Folder of a recording, and its loading.
-
-It is loaded into arrays (Recording) and checked.
-"""
+"""Recording with its commands and sensors as dataclasses of arrays, loaded from its folder with checks."""
 
 import re
 from collections.abc import Sequence

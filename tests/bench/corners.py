@@ -19,7 +19,7 @@ from rig.model.design import Marker, Sensor, Target
 from rig.model.pose import pose, pose_difference
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.recording import corner_and_pose_csv_tables, recording_folder
-from rig.recording.exposures_and_image_files import read_image
+from rig.recording.exposures_and_image_files import read_grey_or_colour_image
 from tests.bench import corner_bound
 from tests.cli import RIG
 from tests.conftest import SHARED
@@ -114,7 +114,7 @@ def _subpix():
 def _subpix_errors(folder, true):
     exposures, detector, errors = recording_folder.load_recording(folder).exposures, _subpix(), []
     for frame, camera, name in zip(exposures.frame.tolist(), exposures.camera, exposures.image):
-        corners, ids, _ = detector.detectMarkers(read_image(folder / name))
+        corners, ids, _ = detector.detectMarkers(read_grey_or_colour_image(folder / name))
         for number, quad in zip(ids.ravel().tolist(), corners):
             errors += [
                 quad[0, k] - true[(frame, camera, number, k)] for k in range(4) if (frame, camera, number, k) in true

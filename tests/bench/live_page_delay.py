@@ -30,9 +30,9 @@ from rig.planning.recording_plan import build_plan
 from rig.recording import recording_folder
 from synthetic import random_true_machine_and_truth_file, recording_simulation
 from synthetic.image_simulation import Images
-from vision.reading.corner_reading_from_recording_images import read_image
+from vision.reading.corner_reading_from_recording_images import read_grey_or_colour_image
 from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
-from vision.reading.parallel_image_map_marker_images_and_white_level import save_image
+from vision.reading.parallel_image_map_rendered_markers_and_white_level import save_image
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other
@@ -93,7 +93,7 @@ def _run(folder):
     read, clock = recording_folder.load_recording(folder / "drawn"), SystemClock()
     e, times = read.exposures, {camera.name: [] for camera in design.cameras}
     images = {
-        c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name]
+        c.name: [read_grey_or_colour_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name]
         for c in design.cameras
     }
     compile_kernels_for_run(design)  # as while homing

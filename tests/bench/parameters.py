@@ -12,11 +12,11 @@ from scipy.optimize import least_squares
 
 from calib.certification import measuring_limb_calibration_slips_and_vision_agreement
 from calib.correction import simultaneous_camera_and_geometry_fit
+from calib.models.platform.d_optimal_hexapod_configurations import CRITERIA, choose_d_optimal_configurations
 from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
     PLAUSIBLE,
     parameter_combinations_and_visibility,
 )
-from calib.models.platform.optimal_calibration_poses import CRITERIA, choose_d_optimal_configurations
 from calib.models.platform.platform_identification import PRIOR, identify_platform, pose_parameter_jacobian
 from calib.online.forgetting_least_squares_kalman_and_gradient_learners import Drifting, FirstOrder, Forgetting
 from calib.online.hexapod_information_filter import Online
@@ -217,14 +217,16 @@ def _limbs():
         )
         recording_simulation.write_recording(done, Path(folder) / "rec", text, rng, noise=0.04)
         read = recording_folder.load_recording(Path(folder) / "rec")
-        frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(read)
+        frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(read)
         samples, nominal = (
             measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
                 sample_recording(read).samples, frames, lengths
             ),
             measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
         )
-    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses_and_expected_covariance(
+        samples, nominal, 1e-6
+    )
     found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 2e-4)
     )
@@ -237,7 +239,9 @@ def _limbs():
             f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}",
             "50 um, 200 urad",
         )
-    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
+        samples, nominal, 1e-6
+    )
     T = limbs.pose(lengths)
     learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
     for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):

@@ -16,7 +16,7 @@ from calib.correction.correction_field_methods_fitting_combination_and_json impo
     home_pose,
 )
 from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import correction_c_source
-from calib.correction.interpolation.gaussian_process import fit_gaussian_process
+from calib.correction.interpolation.gaussian_process_interpolation import fit_gaussian_process
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
     RestrictedMap,
@@ -24,8 +24,8 @@ from calib.correction.interpolation.interpolation_field_interface_samples_and_co
     SummedPasses,
 )
 from calib.correction.machine_correction import Correction
+from calib.models.arm.arm_calibration_page_and_c_source import arm_correction_c_source
 from calib.models.arm.arm_correction import ArmCorrection
-from calib.models.arm.calibration_page_and_c_source import arm_correction_c_source
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.mechanisms import hexapod
 from rig.model.pose import pose, pose_to_vector

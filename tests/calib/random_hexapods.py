@@ -47,8 +47,8 @@ def by_differences(m, T, step=1e-5):
         for side, sign in enumerate((-2, -1, 1, 2)):
             moved, R, t = p.copy(), start[:3, :3].copy(), start[:3, 3].copy()
             moved[k] += sign * h
-            assert strut_loop_closure_equations.forward_kinematics_kernel(command, moved, R, t)
-            strut_loop_closure_equations.pose_error_kernel(start[:3, :3], start[:3, 3], R, t, e[side])
+            assert strut_loop_closure_equations.solve_pose_in_place_by_newton(command, moved, R, t)
+            strut_loop_closure_equations.fill_pose_error(start[:3, :3], start[:3, 3], R, t, e[side])
         out[:, k] = (8 * (e[2] - e[1]) - (e[3] - e[0])) / (12 * h)
     return out
 

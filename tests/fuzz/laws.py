@@ -10,10 +10,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from calib.files import calibration_file
-from calib.models import machine_models
+from calib.models import machine_parameters_and_file_entries as machine_models
 from rig.driving.cameras.opencv_uvc_gstreamer_and_network_cameras import gstreamer_pipeline_problem
 from rig.errors import RigError
-from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key, toml_entries
+from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key_and_position, toml_entries
 from rig.formats.numbers_and_units import parse_number, parse_whole_number
 from rig.formats.output_files.atomic_file_writing_and_process_locks import escape_unprintable
 from rig.formats.rig_toml import design_from_rig_toml
@@ -110,7 +110,7 @@ def places_of_json(path: Path) -> None:
             assert start == {dict: "{", list: "[", str: '"', bool: "t" if value else "f", type(None): "n"}.get(
                 type(value), start
             ), (at, start)
-    assert first_repeated_key(text) is not None or len(list(_paths(tree, ()))) == len(found)
+    assert first_repeated_key_and_position(text) is not None or len(list(_paths(tree, ()))) == len(found)
 
 
 def _paths(tree, at):

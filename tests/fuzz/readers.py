@@ -22,7 +22,7 @@ from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import (
 from rig.errors import RigError
 from rig.formats import csv_and_parquet_tables_and_time_origin, importers
 from rig.formats.importers import exposures_from_image_names as frames
-from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.formats.machine_geometry_and_effects_json_file import effect_from_dict
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model import calibration_board_layout_and_description_parsing
@@ -236,7 +236,7 @@ def _foreign(folder, design):
         b'0.01\n[images.cameras]\nleft = "cam0"\n'
         b'[commands]\nfile = "c.csv"\nunit = "mm"\nshift = 1.5\n[commands.columns]\nl1 = "Bein 1"\n'
     )
-    Images = importers.import_recipe.Images
+    Images = importers.foreign_file_import_recipe.Images
 
     def names(path):
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]

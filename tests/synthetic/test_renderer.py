@@ -18,7 +18,7 @@ from synthetic import rig_meshes
 from synthetic.marker_drawing_sensor_and_occlusion import simulate_sensor_exposure
 from tests.synthetic.corners_by_edge_lines import edge_corners
 from vision.corners.marker_detection_and_corner_fit import ReadMarkers, fit_read_markers
-from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_facing_cameras_anywhere
 
 
 def wall(design, tilt, distortion, size=0.11):
@@ -59,7 +59,7 @@ def drawn(rig):
     finally:
         renderer.close()
     state, markers = State(rig.cameras, RigidTransform.concatenate([home]), {}), marker_map(rig)
-    found = sightings_of_markers_facing_cameras(state, markers, 0.3)
+    found = sightings_facing_cameras_anywhere(state, markers, 0.3)
     return image, markers.id[found.marker], predict_sightings(found, state, markers)
 
 

@@ -25,7 +25,7 @@ from vision.marker_corner_prediction import (
     is_inside_image,
     marker_map,
     predict_sightings,
-    sightings_of_markers_facing_cameras,
+    sightings_facing_cameras_anywhere,
 )
 
 EFFECTS = [
@@ -90,7 +90,7 @@ def signatures(design):
         random_true_machine_and_truth_file.random_true_machine(design, rng, 0.0), route, rng
     )
     markers, T = marker_map(design), s.run.T_base_platform
-    found = sightings_of_markers_facing_cameras(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
+    found = sightings_facing_cameras_anywhere(State(design.cameras, T, {}), markers, np.cos(np.radians(70)))
     found = found.take(
         is_inside_image(found, predict_sightings(found, State(design.cameras, T, {}), markers), design.cameras)
     )

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.model.design import FACES, Actuator, Camera, Design, Free, Marker, Platform, Target, face_pose
 from rig.model.pose import exp, pose
 from rig.recording.recording_folder import Corners
-from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_facing_cameras_anywhere
 
 EDGE, SIDE, WHITE = 0.12, 0.03, 0.004  # m
 ON_A_FACE = ((-0.036, 0.03), (0.036, 0.03), (0.0, -0.034))  # m
@@ -51,7 +51,7 @@ def handmade(
         poses.append(RigidTransform.from_components(at, turn))
     T, markers = RigidTransform.concatenate(poses), marker_map(true)
     state = State(true.cameras, T, {})
-    shown = sightings_of_markers_facing_cameras(state, markers, 0.35)
+    shown = sightings_facing_cameras_anywhere(state, markers, 0.35)
     uv = predict_sightings(shown, state, markers)
     inside = ((uv > 5) & (uv < np.array(SIZE) - 6)).all(axis=(1, 2))
     shown, uv = shown.take(inside), uv[inside] + rng.normal(0, noise, uv[inside].shape)

@@ -130,7 +130,7 @@ def test_a_board_is_printed_on_one_sheet(rig_text, tmp_path):
     pages = [page for one in design.targets for page in print_sheets.sheets_of_target(one, "A3")]
     assert len(pages) == 2
     for page in pages:
-        figure, axes = print_sheets.blank_sheet(page.paper)
+        figure, axes = print_sheets.blank_sheet_figure_and_axes(page.paper)
         print_sheets.draw_sheet(axes, page)
         sides = [patch.get_width() for patch in axes.patches]
         assert sum(abs(side - page.target.board.side * 1e3) < 1e-9 for side in sides) >= len(page.loose)

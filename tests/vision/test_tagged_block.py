@@ -24,7 +24,7 @@ from vision.checks.mistake_search_by_trial_corrections import (
     find_corner_mistakes,
     misplaced_or_exchanged_camera_sentences,
 )
-from vision.checks.recording_refusal_and_uneven_cube_remarks import unevenly_placed_cubes_remarks
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import unevenly_placed_cubes_remarks
 from vision.corner_observations_and_merging import observations_from_corners
 from vision.marker_corner_prediction import marker_map
 from vision.pose.marker_places_from_sightings import marker_places_from_sightings

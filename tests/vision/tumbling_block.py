@@ -16,7 +16,7 @@ from vision.marker_corner_prediction import (
     is_inside_image,
     marker_map,
     predict_sightings,
-    sightings_of_markers_facing_cameras,
+    sightings_facing_cameras_anywhere,
 )
 
 
@@ -78,7 +78,7 @@ def scene(seed, frames=120, noise=0.1, off=1e-3):
         np.stack([0.08 * wave[:, 0], -0.35 + 0.03 * wave[:, 1], 0.1 + 0.03 * wave[:, 2]], axis=1), turn
     )
     true = State(stated.cameras, platform, {0: cameras}, moved)
-    found = sightings_of_markers_facing_cameras(true, moved, np.cos(np.radians(70)))
+    found = sightings_facing_cameras_anywhere(true, moved, np.cos(np.radians(70)))
     uv = predict_sightings(found, true, moved)
     whole = is_inside_image(found, uv, stated.cameras, 5)
     found, uv = found.take(whole), uv[whole]

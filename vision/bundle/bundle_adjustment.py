@@ -40,7 +40,7 @@ from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import
 from vision.corner_observations_and_merging import (
     Observations,
     Whitener,
-    merge_repeated_corners,
+    merged_corners_and_lost_squares,
     whitener_of_observations,
 )
 from vision.marker_corner_prediction import State, predict_corners
@@ -138,7 +138,7 @@ def adjust_bundle(
         raise NotEnoughData(
             f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns"
         )
-    few, spare = merge_repeated_corners(observations, state)
+    few, spare = merged_corners_and_lost_squares(observations, state)
     W = whitener_of_observations(few)
     damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):

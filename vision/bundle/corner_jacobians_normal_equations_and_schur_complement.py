@@ -63,7 +63,7 @@ def _fill_rotated_jacobian(J: Floats, R: Floats, rotation_index: Integers, mask:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def whiten_and_scale_rows(whitening: Floats, column_scale: Floats, marker: Integers, rows: Floats) -> None:
+def whiten_and_scale_rows_in_place(whitening: Floats, column_scale: Floats, marker: Integers, rows: Floats) -> None:
     """Whiten and scale the rows of each corner in place.
 
     Their columns are scaled by the column scale of its marker.
@@ -289,7 +289,7 @@ def whitened_residuals_and_derivatives(
         scale = np.concatenate(
             [np.full((markers, len(mine)), POSE_SCALE), unknowns.scale[every], np.ones((markers, 1))], axis=1
         )
-        whiten_and_scale_rows(whitener.own[rows], scale, marker, whole)
+        whiten_and_scale_rows_in_place(whitener.own[rows], scale, marker, whole)
         return Derivatives(rows, whitener.mix(whole, rows), mine, every)
 
     residual, found = np.empty((len(observations), 2)), {}

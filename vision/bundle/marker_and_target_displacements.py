@@ -27,8 +27,8 @@ from vision.corner_observations_and_merging import Observations, whitener_of_obs
 from vision.marker_corner_prediction import MarkerMap, State, predict_corners
 from vision.pose.pose_refinement_and_choice_by_neighbour_frames import (
     MOST,
+    neighbour_pose_and_turn_bound,
     neighbour_rotation_scatter,
-    pose_from_neighbours,
     rotation_angle_between_poses,
 )
 
@@ -192,7 +192,7 @@ def _odd(m: Measured, t: Floats) -> dict[int, float]:
     if reach is None:
         return out
     for f, T in found.items():
-        expected, limit = pose_from_neighbours(found, f, t, reach)
+        expected, limit = neighbour_pose_and_turn_bound(found, f, t, reach)
         if expected is not None and limit < MOST and rotation_angle_between_poses(expected, T) > max(2 * limit, MOST):
             out[int(m.frames[f])] = float(np.degrees(rotation_angle_between_poses(expected, T)))
     return out

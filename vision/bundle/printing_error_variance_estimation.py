@@ -36,10 +36,10 @@ from vision.bundle.robust_adjustment import (
 )
 from vision.corner_observations_and_merging import (
     Observations,
-    find_repeated_base_corners,
     group_sums,
     merge_observation_groups,
     observations_of_frames,
+    repeated_base_corner_rows_and_groups,
     whitener_of_observations,
 )
 from vision.marker_corner_prediction import State
@@ -116,7 +116,7 @@ def _merged(observations: Observations, state: State) -> Observations:
     """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree
     of freedom.
     """
-    rows, group, first = find_repeated_base_corners(observations, state.moving)
+    rows, group, first = repeated_base_corner_rows_and_groups(observations, state.moving)
     count = np.bincount(group)
     return merge_observation_groups(
         observations,

@@ -15,10 +15,10 @@ from rig.errors import NotEnoughData
 from vision.bundle.bundle_adjustment import Adjustment, adjust_bundle
 from vision.corner_observations_and_merging import (
     Observations,
-    find_repeated_base_corners,
     group_sums,
     inverse_cholesky_factors,
     observations_of_frames,
+    repeated_base_corner_rows_and_groups,
 )
 from vision.marker_corner_prediction import State, predict_corners
 from vision.pose.frame_and_camera_poses import PLATFORM
@@ -160,7 +160,7 @@ def repeated_corner_covariance_and_systematic_error(
     means miss beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the
     weight of one mean.
     """
-    rows, index, _ = find_repeated_base_corners(observations, state.moving, inliers)
+    rows, index, _ = repeated_base_corner_rows_and_groups(observations, state.moving, inliers)
     count, covariance = np.bincount(index), observations.covariance.copy()
     if not len(count) or (count > 1).sum() < STANDING_GROUPS:
         return covariance, 0.0

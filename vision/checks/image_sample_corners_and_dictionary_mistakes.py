@@ -20,7 +20,7 @@ from vision.corners.marker_detection_and_corner_fit import Detection, detect_mar
 from vision.marker_corner_prediction import MarkerMap, marker_map
 from vision.reading.corner_reading_from_recording_images import image_reader
 from vision.reading.marker_identity_mistakes_and_expected_marker_places import FAMILIES
-from vision.reading.parallel_image_map_marker_images_and_white_level import map_images_in_threads
+from vision.reading.parallel_image_map_rendered_markers_and_white_level import map_images_in_threads
 
 TRIED = 6  # images in which other dictionaries are tried
 LEAST = 3  # sightings of an identity of the rig in another dictionary, from which that is named

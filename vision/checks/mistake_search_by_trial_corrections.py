@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.checks import Mistake, command_and_pose_disagreements, sort_mistakes
+from rig.checks import Mistake, platform_command_and_pose_mistakes, sort_mistakes
 from rig.model.design import Design
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.frame_selection_and_content_hashes import recording_and_corners_of_first_seen_hand
@@ -392,19 +392,19 @@ def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorou
     """
     if recording.commands is None or recording.design.mechanism.plates is None:
         return []
-    few = command_and_pose_disagreements.commands_and_measured_poses(recording, m.frames, m.T_base_platform)
-    if corners is not None and (thorough or command_and_pose_disagreements.commands_disagree_with_poses(few)):
+    few = platform_command_and_pose_mistakes.commands_and_measured_poses(recording, m.frames, m.T_base_platform)
+    if corners is not None and (thorough or platform_command_and_pose_mistakes.commands_disagree_with_poses(few)):
         frames, t = recording.exposures.times()
         many = sample_frames(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
         more = measure_trial(many).measured if many is not None else None
         if more is not None:
             m, few = (
                 more,
-                command_and_pose_disagreements.commands_and_measured_poses(
+                platform_command_and_pose_mistakes.commands_and_measured_poses(
                     recording, more.frames, more.T_base_platform
                 ),
             )
     unsure = float(
         np.sqrt(np.einsum("nii->ni", m.covariance)[:, :3].sum(axis=1).mean())
     )  # m, shared errors of cameras and lenses included
-    return [] if few.miss() < UNSURE * unsure else list(command_and_pose_disagreements.command_pose_mistakes(few))
+    return [] if few.miss() < UNSURE * unsure else list(platform_command_and_pose_mistakes.command_pose_mistakes(few))

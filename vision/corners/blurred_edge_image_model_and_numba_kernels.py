@@ -36,10 +36,9 @@ def inlined_kernel(function: F) -> F:
 
 
 @kernel
-def cholesky_factor(H: Floats, first: int, size: int, L: Floats) -> bool:
-    """Write the Cholesky factor of H[first:first + size, first:first + size] into L.
+def fill_cholesky_factor(H: Floats, first: int, size: int, L: Floats) -> bool:
+    """Fill L with the Cholesky factor of H[first:first + size, first:first + size]; False if not definite.
 
-    False if not definite.
     H, L : (n, n)
     """
     for i in range(size):

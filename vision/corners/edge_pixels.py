@@ -1,4 +1,4 @@
-"""Edge pixels of a square, collected for its fit.
+"""Collection of the pixels near the edges of a square, for its fit.
 
 By kind of edge: upright, level, where two meet.
 """

@@ -304,10 +304,11 @@ def fit_quad_sides_in_place(crop: Floats, box: Floats, quad: Floats, size: int, 
 
 
 @kernel
-def square_homography(quad: Floats, lens: Floats, centre: Floats, n: int, g: Floats) -> bool:
-    """Homography g (3, 3) from local ideal coordinates to cells of a square with corners quad (4, 2) px.
+def fill_square_homography(quad: Floats, lens: Floats, centre: Floats, bit_count: int, homography: Floats) -> bool:
+    """Fill `homography` (3, 3) from local ideal coordinates to cells of a square with corners quad (4, 2) px.
 
-    False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
+    bit_count : of the square each way. False where the corners do not turn clockwise around a convex figure. Source:
+    Heckbert 1989, square to quadrilateral
     """
     px, py = np.empty(4), np.empty(4)
     for c in range(4):
@@ -329,12 +330,12 @@ def square_homography(quad: Floats, lens: Floats, centre: Floats, n: int, g: Flo
         (f * p - d, a - c * p, c * d - a * f),
         (d * q - e * p, b * p - a * q, a * e - b * d),
     )
-    size = n + 2.0
+    size = bit_count + 2.0
     last = inverse[2][2]
     for k in range(3):
-        g[0, k] = (size * inverse[0][k] - inverse[2][k]) / last
-        g[1, k] = (size * inverse[1][k] - inverse[2][k]) / last
-        g[2, k] = inverse[2][k] / last
+        homography[0, k] = (size * inverse[0][k] - inverse[2][k]) / last
+        homography[1, k] = (size * inverse[1][k] - inverse[2][k]) / last
+        homography[2, k] = inverse[2][k] / last
     return True
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from rig.array_and_json_types import Floats, Singles
 from vision.corners.blurred_edge_image_model_and_numba_kernels import (
     Tables,
-    cholesky_factor,
     edge_white_share_and_slope,
+    fill_cholesky_factor,
     fill_cholesky_solution,
     inlined_kernel,
     kernel,
@@ -41,10 +41,10 @@ def _near(X: float, top: int) -> int:
 
 
 @kernel
-def edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Floats, sums: Floats) -> None:
-    """Sums over the pixels of each edge segment.
+def fill_edge_segment_sums(pixels: EdgePixels, g: Floats, rows: Floats, last_step: Floats, sums: Floats) -> None:
+    """Fill `sums` with sums over the pixels of each edge segment, of slope * residual and slope^2.
 
-    Of slope * residual and slope^2; a segment is the side of a cell.
+    A segment is the side of a cell.
     pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; last_step : the last step
     """
     first, count = pixels.first, pixels.first[KINDS]
@@ -81,7 +81,7 @@ def corner_covariance_inflation_by_displaced_edges(sums: Floats, noise: float) -
     """Inflation factor of the corners' covariance by displaced edges.
 
     It is at least 1, where edges are displaced more than noise allows.
-    sums : of `edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
+    sums : of `fill_edge_segment_sums`; noise : grey levels. White noise leaves a cell's side as far out of place as its
     pixels' slopes say; a blur of another shape, rounding or a renderer's few samples to the pixel move neighbouring
     pixels alike, and sides farther than that.
     Source: a covariance from scores summed over clusters, Liang and Zeger 1986
@@ -235,7 +235,7 @@ def correct_square_fit_for_uneven_illumination(
             within[b, a] = within[a, b]
         within[a, a] += held
     own[:], sizes[:] = 0, 0
-    if not cholesky_factor(within, 0, TERMS, M):
+    if not fill_cholesky_factor(within, 0, TERMS, M):
         return left
     fill_cholesky_solution(M, TERMS, right, sizes)
     for a in range(TERMS):

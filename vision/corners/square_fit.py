@@ -21,7 +21,7 @@ from rig.array_and_json_types import Floats, Integers
 from vision.corners.blurred_edge_image_model_and_numba_kernels import (
     STEPS,
     Tables,
-    cholesky_factor,
+    fill_cholesky_factor,
     fill_cholesky_solution,
     fill_edge_spread_table,
     inlined_kernel,
@@ -32,9 +32,9 @@ from vision.corners.edge_pixel_white_share_and_derivatives import ROWS, STRIP
 from vision.corners.edge_pixels import KINDS, EdgePixels, Printed, Raster, collect_edge_pixels
 from vision.corners.local_lens_and_fit_start import (
     convert_corners_and_covariance_to_pixels_in_place,
+    fill_square_homography,
     fit_quad_sides_in_place,
     misread_cell_count,
-    square_homography,
 )
 from vision.corners.occlusion_illumination_and_displaced_edges_in_square_fit import (
     TERMS,
@@ -42,7 +42,7 @@ from vision.corners.occlusion_illumination_and_displaced_edges_in_square_fit imp
     add_residuals_to_edge_profile,
     corner_covariance_inflation_by_displaced_edges,
     correct_square_fit_for_uneven_illumination,
-    edge_segment_sums,
+    fill_edge_segment_sums,
     mark_occluded_cells,
     remove_occluded_pixels,
 )
@@ -59,7 +59,7 @@ from vision.corners.square_gauss_newton_steps import (
     Square,
     Work,
     accumulate_normal_equations,
-    corner_covariance,
+    fill_corner_covariance,
     fill_homography_corners_and_jacobian,
     gauss_newton_step,
 )
@@ -147,7 +147,7 @@ class Fits(NamedTuple):
 
 class Room(NamedTuple):
     """What fits are worked out in: all pixels of a marker near edges, a sample of them, a raster to collect them in,
-    Work, Bow, Tables, sums of `edge_segment_sums`, and counts and cells of `mark_occluded_cells`."""
+    Work, Bow, Tables, sums of `fill_edge_segment_sums`, and counts and cells of `mark_occluded_cells`."""
 
     every: EdgePixels
     sample: EdgePixels
@@ -235,7 +235,7 @@ def _lighten(work: Work, light: Floats) -> bool:
     H = work.H
     for k in range(6):
         H[LIGHT + k, LIGHT + k] += 1e-9 * (1 + H[LIGHT + k, LIGHT + k])
-    if cholesky_factor(H, LIGHT, 6, work.L):
+    if fill_cholesky_factor(H, LIGHT, 6, work.L):
         fill_cholesky_solution(work.L, 6, H[ROWS - 1, LIGHT:], light)
     return light[0] - light[3] > FAINTEST
 
@@ -302,10 +302,10 @@ def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float,
     over = correct_square_fit_for_uneven_illumination(every, square, weights, work, room.bowed)
     if not fill_homography_corners_and_jacobian(square.g, marker.n, corners, work.J):
         return WANDERED
-    edge_segment_sums(every, square.g, work.rows, work.x, room.sums)
+    fill_edge_segment_sums(every, square.g, work.rows, work.x, room.sums)
     noise2 = max(over, 1e-12) / max(weights - UNKNOWNS - TERMS, 1.0)
     fits.noise[m] = math.sqrt(noise2)
-    corner_covariance(work, noise2, room.bowed.gain, room.bowed.own, covariance)
+    fill_corner_covariance(work, noise2, room.bowed.gain, room.bowed.own, covariance)
     covariance *= corner_covariance_inflation_by_displaced_edges(room.sums, fits.noise[m])
     convert_corners_and_covariance_to_pixels_in_place(marker.lens, marker.centre, fits.quads[m], corners, covariance)
     if fits.profile.shape[1]:
@@ -329,7 +329,7 @@ def _fit_square(crop: Floats, marker: Printed, m: int, s: float, manner: FitSett
         lens[1, 1] / scale,
         lens[1, 2] / scale,
     )
-    if not square_homography(quad, lens, centre, n, g) or not fill_homography_corners_and_jacobian(
+    if not fill_square_homography(quad, lens, centre, n, g) or not fill_homography_corners_and_jacobian(
         g, n, corners, work.J
     ):
         return WANDERED

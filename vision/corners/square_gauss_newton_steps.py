@@ -14,7 +14,7 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from vision.corners.blurred_edge_image_model_and_numba_kernels import (
     Tables,
-    cholesky_factor,
+    fill_cholesky_factor,
     fill_cholesky_solution,
     inlined_kernel,
     kernel,
@@ -215,7 +215,7 @@ def gauss_newton_step(square: Square, bit_count: int, local_scale: float, corner
     """
     g, s, light = square.g, square.width, square.light
     H, L, x, J = work.H, work.L, work.x, work.J
-    if not cholesky_factor(H, 0, UNKNOWNS, L):
+    if not fill_cholesky_factor(H, 0, UNKNOWNS, L):
         return Moved(0.0, s, SINGULAR)
     fill_cholesky_solution(L, UNKNOWNS, H[ROWS - 1], x)
     if not fill_homography_corners_and_jacobian(g, bit_count, corners, J):
@@ -239,8 +239,8 @@ def gauss_newton_step(square: Square, bit_count: int, local_scale: float, corner
 
 
 @kernel
-def corner_covariance(work: Work, noise2: float, gain: Floats, own: Floats, covariance: Floats) -> None:
-    """Write the covariance (8, 8) of the corners' local ideal coordinates.
+def fill_corner_covariance(work: Work, noise2: float, gain: Floats, own: Floats, covariance: Floats) -> None:
+    """Fill `covariance` (8, 8) with that of the corners' local ideal coordinates.
 
     work : Work of the last step, whose x is overwritten; noise2 : variance of the residuals; gain, own : as in
         bowed.Bow

@@ -166,8 +166,8 @@ def choose_simplest_adequate_lens_model(held_out_errors: Sequence[HeldOut]) -> H
     return best
 
 
-def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[Floats, Floats]:
-    """Standard uncertainty of the lens's projection over the image.
+def projection_pixels_and_uncertainty(fit: Fit, step: int = 40) -> tuple[Floats, Floats]:
+    """Pixels over the image, and the standard uncertainty of the lens's projection there.
 
     The part that a small turn of the camera would undo is taken out, for a camera's pose is always found with its lens.
 

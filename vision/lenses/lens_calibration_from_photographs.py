@@ -14,7 +14,7 @@ from rig.array_and_json_types import Floats, Pixels
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.model.calibration_board_layout_and_description_parsing import Board
 from rig.model.design import Camera
-from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_image
+from rig.recording.exposures_and_image_files import MOST_OF_A_PHOTOGRAPH, read_grey_or_colour_image
 from vision.corner_observations_and_merging import Observations
 from vision.lenses.calibration_board_corner_detection_in_photograph import BoardView, find_board_corners
 from vision.lenses.lens_calibration_from_board_views import (
@@ -26,7 +26,7 @@ from vision.lenses.lens_calibration_from_board_views import (
     choose_simplest_adequate_lens_model,
     cross_validate_lens,
     observations_from_board_views,
-    projection_uncertainty,
+    projection_pixels_and_uncertainty,
 )
 
 FIRST = 5  # distortion terms of the lens that straightens edges for the second look
@@ -81,7 +81,7 @@ def calibrate_photographs(
     """
     images: list[Pixels] = []
     for path in paths:
-        image = read_image(path, MOST_OF_A_PHOTOGRAPH)
+        image = read_grey_or_colour_image(path, MOST_OF_A_PHOTOGRAPH)
         if images and image.shape[:2] != images[0].shape[:2]:
             raise FileError(
                 path,
@@ -109,7 +109,7 @@ def calibrate_photographs(
     models, fits = _models(observations, width, height, name, progress)
     held = [model.held for model in models.values() if model.held]
     fit = fits[choose_simplest_adequate_lens_model(held).terms]
-    uv, sigma = projection_uncertainty(fit)
+    uv, sigma = projection_pixels_and_uncertainty(fit)
     return Calibrated(
         fit, models, tuple(paths[f] for f in observations.frames), left_out, observations, board, uv, sigma
     )

@@ -15,7 +15,7 @@ from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.model.design import Camera
 from vision import opencv_lens_model as lens
 from vision.marker_corner_prediction import SQUARE, MarkerMap
-from vision.pose.pose_refinement_and_choice_by_neighbour_frames import AHEAD, GATE, refine_pose
+from vision.pose.pose_refinement_and_choice_by_neighbour_frames import AHEAD, GATE, refine_pose_in_place
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
 FINEST = 0.02  # px; a robust scale below this is rounding, not noise
@@ -108,13 +108,13 @@ def undistorted_corners_and_covariance(
 
 
 def body_pose_from_corners(
-    body_corners: BodyCorners, marker_map: MarkerMap, finest: float = FINEST
+    body_corners: BodyCorners, marker_map: MarkerMap, outlier_floor: float = FINEST
 ) -> Located | Unsolved:
-    """Pose of a body from its corners in all cameras at once.
+    """Pose of a body from its corners in all cameras at once, or why there is none (Unsolved).
 
     Wrong identities and outliers excluded.
-    marker_map : how each marker sits on the body; finest : px, residuals smaller than this are never an outlier's: what
-    the markers' stated places are uncertain by
+    marker_map : how each marker sits on the body; outlier_floor : px, residuals smaller than this are never an
+    outlier's: what the markers' stated places are uncertain by
     Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against
     another, where the sightings contradict each other, or where two different poses fit as well
     Source: Collins and Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014 (candidates); consensus as in
@@ -130,7 +130,7 @@ def body_pose_from_corners(
     if len(sightings) == 1:
         return Unsolved(
             f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another",
-            _alone(body_corners, matrices, distance, finest),
+            _alone(body_corners, matrices, distance, outlier_floor),
         )
     if not len(matrices) or (distance < CONSENSUS).mean(axis=1).max() < AGREED:
         matrices, distance = _candidates(body_corners, sightings, marker_map)
@@ -138,7 +138,7 @@ def body_pose_from_corners(
         return Unsolved("no single marker gives a pose in front of its camera")
     score = (np.minimum(distance / CONSENSUS, 1) ** 2).sum(axis=1)
     chosen = np.argmin(score)
-    best = _refine(body_corners, matrices[chosen], distance[chosen] < CONSENSUS, finest)
+    best = _refine(body_corners, matrices[chosen], distance[chosen] < CONSENSUS, outlier_floor)
     if best is None:
         return Unsolved(f"markers {seen} give no common pose")
     matrix, covariance, inliers, square, scale = best
@@ -149,7 +149,7 @@ def body_pose_from_corners(
             "agree on a pose"
         )
     located = Located(matrix, covariance, inliers)
-    alternative = _alternative(body_corners, matrices, distance, matrix, square, scale, finest)
+    alternative = _alternative(body_corners, matrices, distance, matrix, square, scale, outlier_floor)
     if alternative is not None:
         turn = np.degrees(_turn(alternative.matrix, matrix))
         return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, alternative))
@@ -237,7 +237,7 @@ def _refine(body_corners: BodyCorners, matrix: Floats, inliers: Booleans, least:
     matrix, inliers = matrix.copy(), inliers.copy()
     J, square = np.zeros((len(body_corners.points), 2, 6)), np.zeros(len(body_corners.points))
     try:
-        scale = refine_pose(
+        scale = refine_pose_in_place(
             (body_corners.points, body_corners.ideal, body_corners.covariance, body_corners.camera),
             np.ascontiguousarray(
                 body_corners.T_camera_world

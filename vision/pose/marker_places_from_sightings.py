@@ -47,7 +47,7 @@ class _Pair:
 def marker_places_from_sightings(
     observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap
 ) -> tuple[MarkerMap, Booleans]:
-    """Marker places found from sightings.
+    """MarkerMap with places found from sightings, and a mask of the markers found.
 
     observations : Observations; cameras : their lenses, poses are not used; marker_map : MarkerMap as stated
     Markers of each body are placed relative to each other by images that show two or more of them, and then, as a

@@ -51,7 +51,7 @@ def choose_poses_by_neighbours(solved_poses: Poses, candidates: dict[int, Sequen
     while waiting:
         fresh = {}
         for f in waiting:
-            expected, limit = pose_from_neighbours(known, f, t, reach)
+            expected, limit = neighbour_pose_and_turn_bound(known, f, t, reach)
             if expected is None or not limit < MOST:
                 continue
             miss = np.array([rotation_angle_between_poses(expected, one) for one in candidates[f]])
@@ -78,7 +78,7 @@ def rotation_outlier_reasons_by_frame(solved_poses: Poses, t: Floats) -> dict[in
         return odd
     for f, T in solved_poses.items():
         if None not in _near(solved_poses, f, t):
-            expected, limit = pose_from_neighbours(solved_poses, f, t, reach)
+            expected, limit = neighbour_pose_and_turn_bound(solved_poses, f, t, reach)
             if expected is not None and rotation_angle_between_poses(expected, T) > max(2 * limit, MOST):
                 odd[f] = (
                     f"it turns by {np.degrees(rotation_angle_between_poses(expected, T)):.0f} degrees relative to the "
@@ -107,7 +107,9 @@ def neighbour_rotation_scatter(solved_poses: Poses, t: Floats) -> Reach | None:
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(adjacent, 0.9))
 
 
-def pose_from_neighbours(solved_poses: Poses, f: int, t: Floats, scatter: Reach) -> tuple[Floats | None, float]:
+def neighbour_pose_and_turn_bound(
+    solved_poses: Poses, f: int, t: Floats, scatter: Reach
+) -> tuple[Floats | None, float]:
     """Pose (4, 4) of frame f from solved neighbours, and the rad that it may be off.
 
     (None, inf) without any
@@ -159,7 +161,7 @@ AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refine_pose(
+def refine_pose_in_place(
     corners: tuple[Floats, Floats, Floats, Integers],
     to_camera: Floats,
     focal: Floats,
@@ -169,7 +171,7 @@ def refine_pose(
     J: Floats,
     square: Floats,
 ) -> float:
-    """Refine a pose in place.
+    """Refine a pose in place; return the robust scale.
 
     corners : (points (n, 3) m in the body, ideal (n, 2), their covariance (n, 2, 2), camera (n,)); to_camera : (c, 4,
         4) T_camera_world

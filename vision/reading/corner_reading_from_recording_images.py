@@ -17,7 +17,7 @@ from rig.compute.parallel_map_and_dask_cluster import path_seen_by_cluster_worke
 from rig.errors import FileError
 from rig.model.design import Camera, Design
 from rig.recording.corner_and_pose_csv_tables import Corners
-from rig.recording.exposures_and_image_files import read_image, undecodable_images, unusable_images_error
+from rig.recording.exposures_and_image_files import read_grey_or_colour_image, undecodable_images, unusable_images_error
 from rig.recording.recording_folder import Recording
 from vision.corner_observations_and_merging import correlations_of_whitened_marker_corners
 from vision.corners.edge_spread_function import PLAIN_EDGE_SPREAD, EdgeSpread, empty_residual_profile, learn_edge_spread
@@ -32,7 +32,7 @@ from vision.corners.marker_detection_and_corner_fit import (
 )
 from vision.marker_corner_prediction import MarkerMap, expected_marker_rows_and_corners_in_image
 from vision.reading import marker_identity_mistakes_and_expected_marker_places
-from vision.reading.parallel_image_map_marker_images_and_white_level import (
+from vision.reading.parallel_image_map_rendered_markers_and_white_level import (
     map_images_in_processes,
     map_images_in_threads,
 )
@@ -88,7 +88,11 @@ def image_reader(recording: Recording) -> Callable[[int, str], Floats | None]:
 
     def read(frame: int, camera: str) -> Floats | None:
         name = names.get((int(frame), camera))
-        return None if name is None else grey_images_for_reader_and_fit(read_image(recording.folder / name))[0]
+        return (
+            None
+            if name is None
+            else grey_images_for_reader_and_fit(read_grey_or_colour_image(recording.folder / name))[0]
+        )
 
     return read
 
@@ -194,7 +198,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
 
 
 def _image(folder: Path, camera: Camera, name: str) -> Pixels:
-    image = read_image(folder / name)
+    image = read_grey_or_colour_image(folder / name)
     if image.shape[:2] != (camera.height, camera.width):
         raise FileError(
             folder / name,
@@ -323,7 +327,7 @@ def search_missed_markers(
         if not fresh:
             return None
         numbers, places = marker_map.id[rows[fresh]], places[fresh]
-        full = grey_image_at_full_depth(read_image(folder / name))
+        full = grey_image_at_full_depth(read_grey_or_colour_image(folder / name))
         d = fit_read_markers(
             full,
             camera,

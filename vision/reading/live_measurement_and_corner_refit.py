@@ -27,7 +27,7 @@ from rig.errors import NotEnoughData
 from rig.model.design import Camera, Design
 from rig.model.pose import adjoint
 from rig.recording.corner_and_pose_csv_tables import Corners
-from rig.recording.exposures_and_image_files import read_image
+from rig.recording.exposures_and_image_files import read_grey_or_colour_image
 from rig.recording.recording_folder import Recording
 from vision.corner_observations_and_merging import Observations, empty_observations, observations_from_corners
 from vision.corners import local_lens_and_fit_start
@@ -59,7 +59,7 @@ from vision.reading.corner_reading_from_recording_images import (
     group_corners_by_image,
     learn_camera_edge_spread,
 )
-from vision.reading.parallel_image_map_marker_images_and_white_level import map_images_in_processes
+from vision.reading.parallel_image_map_rendered_markers_and_white_level import map_images_in_processes
 from vision.recording_adjustment_with_hand_and_stages import (
     Measurement,
     design_seen_from_hand,
@@ -121,7 +121,7 @@ def refit_corners(
     def one(image: tuple[int, str, str, ReadMarkers]) -> Detection:
         _, camera, name, read = image
         return fit_read_markers(
-            grey_image_at_full_depth(read_image(folder / name)),
+            grey_image_at_full_depth(read_grey_or_colour_image(folder / name)),
             lenses[camera],
             marker_map,
             read,

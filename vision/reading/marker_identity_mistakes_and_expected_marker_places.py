@@ -31,7 +31,7 @@ from vision.marker_corner_prediction import (
     expected_marker_rows_and_corners_in_image,
     predict_corners,
     predict_sightings,
-    sightings_of_markers_facing_cameras,
+    sightings_facing_cameras_anywhere,
 )
 from vision.pose.body_pose import FINEST
 from vision.pose.frame_and_camera_poses import UndistortedCorners, locate_platform_and_moving_cameras
@@ -198,7 +198,7 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
     missing = np.setdiff1d(np.arange(len(marker_map.id)), o.marker)
     cameras = m.design.cameras
     for row in missing:
-        sights = sightings_of_markers_facing_cameras(m.adjustment.state, marker_map)
+        sights = sightings_facing_cameras_anywhere(m.adjustment.state, marker_map)
         sights = sights.take(sights.marker == row)
         visible = []
         for frame, camera in zip(sights.frame, sights.camera):

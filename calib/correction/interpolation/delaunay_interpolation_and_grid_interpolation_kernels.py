@@ -300,7 +300,7 @@ def _named(function: F, axes: int) -> F:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def n_linear_interpolation_kernel(
+def fill_n_linear_interpolation(
     x: Floats, levels: Floats, inverse: Floats, cells: Floats, strides: Floats, values: Floats, out: Floats
 ) -> None:
     """Kernel of n-linear interpolation: values into out (n, outputs) at x (n, axes)."""

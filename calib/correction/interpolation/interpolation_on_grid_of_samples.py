@@ -24,7 +24,7 @@ import scipy
 from calib.correction.interpolation.delaunay_interpolation_and_grid_interpolation_kernels import (
     Tables,
     compiled_simplex_kernels,
-    n_linear_interpolation_kernel,
+    fill_n_linear_interpolation,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
@@ -292,7 +292,7 @@ class Linear(Grid):
     def value(self, x: Floats) -> Floats:
         x = np.ascontiguousarray(x, float)
         out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
-        n_linear_interpolation_kernel(x.reshape(-1, x.shape[-1]), *self.tables, out)
+        fill_n_linear_interpolation(x.reshape(-1, x.shape[-1]), *self.tables, out)
         return out.reshape(*x.shape[:-1], -1)
 
     def weights(self, x: Floats) -> Weights:

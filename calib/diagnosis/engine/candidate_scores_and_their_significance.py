@@ -19,14 +19,14 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     SelectionPolicy,
     UsualRange,
 )
-from calib.diagnosis.engine.cross_validation_and_chance import MANY, residual_dispersion, scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import MANY, residual_dispersion, scan_p_value
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     Solved,
     normal_equations_by_direction_weights,
 )
-from calib.diagnosis.engine.linear_model import RANK, LinearModel, Projection
-from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
+from calib.diagnosis.engine.linear_residual_model import RANK, LinearModel, Projection
+from calib.identify.bounded_and_robust_least_squares_fit import bounded_step_and_covariance
 from rig.array_and_json_types import Booleans, Floats
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
 
@@ -382,7 +382,7 @@ def _best_within_bounds(candidate: Candidate, b: Floats, G: Floats) -> Floats:
     low, high = candidate.bounds
     ridge = np.diag((2 / (high - low)) ** 2)
     ends, none = np.stack([low, high], axis=1), np.zeros((0, len(b)))
-    return candidate.allowed(bounded_least_squares_step(b, G + ridge, np.zeros(len(b)), ends, none)[0])
+    return candidate.allowed(bounded_step_and_covariance(b, G + ridge, np.zeros(len(b)), ends, none)[0])
 
 
 def _cost(usual: UsualRange, value: float, sharp: float) -> float:

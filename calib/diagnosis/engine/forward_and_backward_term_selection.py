@@ -29,7 +29,7 @@ from calib.diagnosis.engine.choice_between_whole_machine_and_axis_terms import (
     fit_with_whole_machine_term_in_place_of_axis_terms,
     fit_with_whole_machine_term_split_by_axis,
 )
-from calib.diagnosis.engine.linear_model import Projection, join_columns
+from calib.diagnosis.engine.linear_residual_model import Projection, join_columns
 from calib.diagnosis.engine.problem_interface import (
     Companions,
     Fit,
@@ -42,7 +42,7 @@ from calib.diagnosis.engine.problem_interface import (
 )
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import (
     Finding,
-    confirm_terms,
+    confirmed_fit_and_findings,
     labelled_progress,
     search_label_of_unconfirmed_terms,
 )
@@ -77,7 +77,7 @@ def select_terms(
     before = problem.start()
     problem, fit, scans = _chosen(problem, before, progress, first)
     searched = problem.terms(fit)
-    fit, findings = confirm_terms(problem, fit, scans, progress)
+    fit, findings = confirmed_fit_and_findings(problem, fit, scans, progress)
     for _ in range(SEARCHED_AGAIN):
         if _counts(problem.terms(fit)) == _counts(searched):
             break
@@ -85,10 +85,10 @@ def select_terms(
         if more is None:
             break
         searched = problem.terms(more)
-        fit, findings = confirm_terms(problem, more, scans, progress)
+        fit, findings = confirmed_fit_and_findings(problem, more, scans, progress)
     apart = fit_with_axis_terms_in_place_of_whole_machine_term(problem, fit)
     if apart is not None:
-        fit, findings = confirm_terms(problem, remove_redundant_terms(problem, apart), scans, progress)
+        fit, findings = confirmed_fit_and_findings(problem, remove_redundant_terms(problem, apart), scans, progress)
     return Selection(problem, before, fit, findings, len(problem.candidates))
 
 
@@ -103,7 +103,7 @@ def search_further_terms(
     more = _steps(problem, selection.fit, scans, progress, refused)
     if more is None or len(problem.terms(more)) == len(problem.terms(selection.fit)):
         return selection
-    fit, findings = confirm_terms(problem, more, scans, progress)
+    fit, findings = confirmed_fit_and_findings(problem, more, scans, progress)
     return replace(selection, fit=fit, findings=findings)
 
 

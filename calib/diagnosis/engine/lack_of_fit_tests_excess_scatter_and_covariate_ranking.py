@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion, scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import residual_dispersion, scan_p_value
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     SWALLOWED,
     FrameProducts,
@@ -18,7 +18,7 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     solve_normal_equations,
     solve_with_prior,
 )
-from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.linear_residual_model import LinearModel
 from rig.array_and_json_types import Floats
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 

@@ -19,7 +19,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.sparse import csr_array
 
-from calib.diagnosis.engine.linear_model import LinearModel, orthonormal_combinations
+from calib.diagnosis.engine.linear_residual_model import LinearModel, orthonormal_combinations
 from rig.array_and_json_types import Booleans, Floats, Integers
 
 SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave for it to count as seen

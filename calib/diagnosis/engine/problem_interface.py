@@ -13,9 +13,9 @@ from typing import NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C, SelectionPolicy, StatedTerms
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
-from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Column, LinearModel
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 
 Fit = TypeVar("Fit")

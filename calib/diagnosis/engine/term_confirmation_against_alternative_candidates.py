@@ -19,7 +19,7 @@ from calib.diagnosis.engine.candidate_scores_and_their_significance import (
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C, SelectionPolicy
 from calib.diagnosis.engine.choice_between_whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
-from calib.diagnosis.engine.linear_model import column_cosine
+from calib.diagnosis.engine.linear_residual_model import column_cosine
 from calib.diagnosis.engine.problem_interface import (
     AliasedNodes,
     AlternativeScreening,
@@ -177,10 +177,10 @@ def labelled_progress(progress: Progress | None, label: str) -> Callable[[int, i
     return None if progress is None else lambda done, of: progress(label, done, of)
 
 
-def confirm_terms(
+def confirmed_fit_and_findings(
     problem: Problem[Fit, Model, C], fit: Fit, scans: Scans[C], progress: Progress | None
 ) -> tuple[Fit, list[Finding[C]]]:
-    """Confirm each term of a Fit.
+    """Fit whose terms are confirmed one by one, and these as findings.
 
     All candidates are tried against it: it is removed, replaced, or retained with its alternatives.
     The others stay admitted meanwhile, and a term's moment or choice is searched for again beside them; after a change

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from scipy.spatial import cKDTree
 
-from calib.diagnosis.engine.cross_validation_and_chance import Interval
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Interval
 from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Formula, Library, Quantity
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_base_class import Effect

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold, least_significant_delta_chi2
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C, Node
-from calib.diagnosis.engine.cross_validation_and_chance import Dispersion
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Dispersion
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED
 from calib.diagnosis.engine.problem_interface import Fit

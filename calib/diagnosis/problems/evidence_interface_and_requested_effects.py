@@ -18,7 +18,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     Outliers,
     StatedTerms,
 )
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Fit, Problem, Progress

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import StatedTerms
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import (
     Covariate,
     LackOfFit,
@@ -272,7 +272,7 @@ def kind_of_prior_statement_on_effect(stated_terms: StatedTerms, effect: str, pl
     return ASSUMED if site in stated_terms.assumed else SEEN_BEFORE if site in stated_terms.before else None
 
 
-def entry_of_finding_before_search(measured_finding: MeasuredFinding) -> FindingEntry:
+def finding_entry_before_search(measured_finding: MeasuredFinding) -> FindingEntry:
     """FindingEntry of a finding that was measured before the search."""
     return FindingEntry(
         measured_finding.kind.name,

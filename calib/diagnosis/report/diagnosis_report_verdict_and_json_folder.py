@@ -35,8 +35,8 @@ from calib.diagnosis.report.diagnosis_json_entries import (
     SuggestionEntry,
     Unexplained,
     effect_file_entries,
-    entry_of_finding_before_search,
     finding_entry,
+    finding_entry_before_search,
     json_tree_of_dataclasses,
     largest_unexplained_part,
     misfit_before_and_after_entry,
@@ -57,7 +57,7 @@ from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     errors_at_and_beyond_fitted_joint_angles,
     position_error_statistics_and_mean_rotation_error,
 )
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confound_sentences
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.array_and_json_types import Json
 from rig.formats import local_and_remote_input_files, machine_geometry_and_effects_json_file
 from rig.formats.local_and_remote_input_files import read_text
@@ -282,7 +282,7 @@ def recommended_actions(report: Report) -> list[str]:
 
 def diagnosis_report(diagnosis: Diagnosis) -> Report:
     """Report of a Diagnosis."""
-    found = [entry_of_finding_before_search(one) for one in diagnosis.measured_findings]
+    found = [finding_entry_before_search(one) for one in diagnosis.measured_findings]
     found += [finding_entry(diagnosis, f, proof) for f, proof in zip(diagnosis.findings, diagnosis.cross_validations)]
     fits = {name: misfit_before_and_after_entry(fit) for name, fit in diagnosis.misfits.items()}
     noise = asdict(diagnosis.noise)

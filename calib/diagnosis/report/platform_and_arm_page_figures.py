@@ -13,9 +13,9 @@ from calib.diagnosis.report import residual_figures_and_finding_contributions
 from calib.diagnosis.report.diagnosis_json_entries import FindingEntry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
     SAME_ANGLE,
+    closure_and_corner_residuals,
     effect_residual_figures,
     mean_residual_figures_over_camera_image,
-    model_residuals,
     position_error_statistics_and_mean_rotation_error,
     residual_scatter_figure,
     residuals_in_time_figure,
@@ -302,7 +302,7 @@ def _levels(d: Diagnosis, struts: Floats) -> str:
     k, rows = refined.point, []
     if k.axes:
         noise = np.sqrt(refined.model.strut_noise().mean(axis=0)) * 1e6
-        bare, _ = model_residuals(before.model)
+        bare, _ = closure_and_corner_residuals(before.model)
         rows.append(
             ([str(place) for place in k.places], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, f"µ{k.axis_unit}")
         )

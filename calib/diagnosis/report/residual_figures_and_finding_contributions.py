@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
-    residual_change_with_only_effects,
+    residual_change_column_with_only_effects,
 )
 from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
     closure_residuals,
@@ -31,7 +31,7 @@ from rig.array_and_json_types import Floats, Integers, Json
 from rig.effects.framework.effect_base_class import REFERENCE_TEMPERATURE, Effect
 from rig.recording.corner_and_pose_csv_tables import write_table
 from rig.report.pages.html_and_svg_elements import figures_with_caption_html, svg_figure, svg_text, svg_tooltip
-from rig.report.pages.image_plane_and_3d_views import Arrows, image_patch_means, image_plane_figure
+from rig.report.pages.image_plane_and_3d_views import Arrows, image_patch_centres_and_means, image_plane_figure
 from rig.report.pages.svg_plots import COLOURS, Series, bar_chart_svg, figures_side_by_side_html, plot_panel_svg
 
 WORST = 24  # poses that are drawn
@@ -183,8 +183,8 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
     model, k = refinement.model, refinement.point
     retained = [e for i, e in enumerate(k.effects) if i not in set(omitted_effects)]
     if len(retained) == len(k.effects):
-        return model_residuals(model)
-    done = residual_change_with_only_effects(model, retained)
+        return closure_and_corner_residuals(model)
+    done = residual_change_column_with_only_effects(model, retained)
     projected = model.linear.project(done).onto
     grown = [
         (0 if part is None else part[:, 0]) - (cast(Floats, basis) @ projected)[:, 0]
@@ -195,8 +195,8 @@ def residuals_without_effects(refinement: Refinement, omitted_effects: tuple[int
     )
 
 
-def model_residuals(model: LinearisedModel) -> tuple[Floats, Floats]:
-    """Residuals of a model as it is.
+def closure_and_corner_residuals(model: LinearisedModel) -> tuple[Floats, Floats]:
+    """Loop closure residuals and corner residuals of a model as it is.
 
     Returns (closures (F, axes) m, corners (n, 2) px)
     """
@@ -354,7 +354,7 @@ def mean_residual_figures_over_camera_image(
     o = point.observed.observations
     camera = point.design.cameras[o.camera[corner_rows[0]]]
     cell = camera.width / CELLS
-    drawn = [image_patch_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
+    drawn = [image_patch_centres_and_means(o.uv[corner_rows], values[corner_rows], cell) for values in residuals]
     longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
     figures = figures_side_by_side_html(
         *(

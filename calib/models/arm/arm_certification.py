@@ -23,7 +23,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     configuration_numbers,
     time_block_folds_of_configurations,
 )
-from calib.certification.platform_certification import Progress, silent_progress
+from calib.certification.platform_certification import Progress, ignore_progress
 from calib.identify.bounded_and_robust_least_squares_fit import CONSISTENT, MOST, isolated_outlier_rows
 from calib.models.arm import arm_error_model_and_instrument_observations, arm_identification_and_joint_profiles
 from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import place_base_and_tool_of_arm
@@ -105,7 +105,7 @@ def certify_arm(
     physics : JointFit of what was found, which then is part of the model, or None
     Raises NotEnoughData, RigError as `calibrate`
     """
-    report = progress or silent_progress
+    report = progress or ignore_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     parts = _parts(label)
     report("fitting the geometry", 0, 1)
@@ -114,7 +114,7 @@ def certify_arm(
         observations_of_samples(samples), nominal, instrument
     )  # a basin, not a fit: the folds' own fits forget it
     known = samples if physics is None else physics.samples
-    correction, found = calibrate_arm(known, nominal, instrument, False, start)
+    correction, found = arm_correction_and_identification(known, nominal, instrument, False, start)
     report("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
         return CertifiedArm(correction, found, label, None, None, None)
@@ -230,7 +230,7 @@ def _enough(samples: Samples, found: Identified, label: Integers, parts: Integer
     return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.requested
 
 
-def calibrate_arm(
+def arm_correction_and_identification(
     samples: Samples, nominal: Arm, instrument: Instrument | None, profiles: bool, start: Arm | None = None
 ) -> tuple[ArmCorrection, Identified]:
     """Arm calibrated on samples: (ArmCorrection, Identified).
@@ -298,8 +298,10 @@ def placed_nominal_arm(observations: Observations, nominal: Arm, instrument: Ins
     return identify_arm(observations, replace(placed, hand=nominal.hand), free, np.inf).arm
 
 
-def arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
+def corrected_arm_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     """Covariance (m, 6, 6) of the corrected arm's pose at commands (m, joints) rad.
+
+    By its parameters, scatter, maps and extension.
 
     docs/mathematics.md (21)
     """

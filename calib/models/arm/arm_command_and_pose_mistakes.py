@@ -25,8 +25,8 @@ from calib.models.arm.arm_base_and_tool_placement_in_instrument_frame import (
 )
 from calib.models.arm.arm_error_model_and_instrument_observations import Observations, position_observations
 from rig.array_and_json_types import Floats, Integers
-from rig.checks.command_and_pose_disagreements import LIKELY, pose_columns_of_poses_csv_as_written
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake, sort_mistakes
+from rig.checks.platform_command_and_pose_mistakes import LIKELY, pose_columns_of_poses_csv_as_written
 from rig.checks.unit_and_convention_mistakes import poses_in_other_conventions
 from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names

@@ -21,7 +21,7 @@ from calib.correction.physical_effects_of_calibration_and_their_compensation imp
     poses_with_predicted_rotations,
     samples_with_effects,
 )
-from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
+from calib.identify.bounded_and_robust_least_squares_fit import bounded_step_and_covariance
 from calib.models.arm import arm_error_model_and_instrument_observations
 from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.arm.arm_error_model_and_instrument_observations import observation_jacobian, observations_of_samples
@@ -289,7 +289,7 @@ def _refined(
     for _ in range(ITERATIONS if coordinates else 0):
         C = seen.whitened(columns)
         C -= seen.basis @ (seen.basis.T @ C)
-        step, own = bounded_least_squares_step(
+        step, own = bounded_step_and_covariance(
             C.T @ left + prior.weight * (prior.values - values),
             C.T @ C + np.diag(prior.weight),
             values,

@@ -39,14 +39,14 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     mean_sample_per_configuration,
     time_block_folds_of_configurations,
 )
-from calib.certification.platform_certification import FOLDS, Progress, silent_progress
+from calib.certification.platform_certification import FOLDS, Progress, ignore_progress
 from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, FieldSamples
 from calib.models.arm import arm_error_model_and_instrument_observations
 from calib.models.arm.arm_certification import (
     UNPLACED,
     CertifiedArm,
-    calibrate_arm,
+    arm_correction_and_identification,
     placed_nominal_arm,
     start_arm_of_fit,
 )
@@ -148,16 +148,16 @@ def certify_arm_correction_extension(
             "--extend takes an arm's poses, or its positions, since joint values are computed from them; here "
             f"{UNPLACED[samples.measured]}"
         )
-    report = progress or silent_progress
+    report = progress or ignore_progress
     label = configuration_numbers(samples.commanded, axis_travel_limits(nominal))
     report("fitting the geometry", 0, 1)
     start = start_arm_of_fit(observations_of_samples(samples), nominal, instrument)
 
     def geometry(some: Samples) -> tuple[ArmCorrection, Identified]:
         return (
-            nominal_arm_correction(some, nominal, instrument, start)
+            nominal_arm_correction_and_placement(some, nominal, instrument, start)
             if request.alone
-            else calibrate_arm(some, nominal, instrument, False, start)
+            else arm_correction_and_identification(some, nominal, instrument, False, start)
         )
 
     whole = geometry(samples)
@@ -193,12 +193,11 @@ def certify_arm_correction_extension(
     return CertifiedArm(corrected, found, label, done.held_out, None, bare, held), tried
 
 
-def nominal_arm_correction(
+def nominal_arm_correction_and_placement(
     samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm
 ) -> tuple[ArmCorrection, Identified]:
-    """Correction of the nominal arm.
+    """Correction of the nominal arm, and its placement: nothing else is fitted.
 
-    Nothing fitted but the instrument's placement.
     Returns (ArmCorrection, Identified)
     """
     o = observations_of_samples(samples)

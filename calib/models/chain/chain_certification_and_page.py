@@ -38,7 +38,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.certification.platform_certification import (
     Progress,
     held_out_errors_before_and_after_corrections,
-    silent_progress,
+    ignore_progress,
 )
 from calib.correction.machine_correction import AnyCorrection, Correction, solvable_commands_and_poses
 from calib.models.arm.joint_effect_fit_and_held_out_scatter import unexplained_scatter_sentences
@@ -90,7 +90,7 @@ def certify_chain(
     rng : numpy Generator, for the bootstrap
     Raises what `identify_chain` raises
     """
-    report = progress or silent_progress
+    report = progress or ignore_progress
     label = configuration_numbers(samples.commanded, mechanism.travel_ranges(nominal))
     report("fitting the geometry", 0, 1)
     found = identify_chain(samples, nominal)
@@ -126,7 +126,7 @@ def _corrected(nominal: Chain, found: Identified) -> AnyCorrection:
     return Correction(nominal, found.chain, parts)
 
 
-def chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
+def corrected_chain_pose_covariance(calibration: Calibration, commands: Floats) -> Floats:
     """Covariance (n, 6, 6) of the corrected chain's pose at commands (n, axes) m or rad."""
     correction = calibration.correction
     J = chain_error_model_and_identification.parameter_jacobian(commands, correction.fitted)

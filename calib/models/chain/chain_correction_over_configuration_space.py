@@ -23,7 +23,7 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
     configuration_numbers,
     time_block_folds_of_configurations,
 )
-from calib.certification.platform_certification import FOLDS, Progress, silent_progress
+from calib.certification.platform_certification import FOLDS, Progress, ignore_progress
 from calib.correction.correction_tables import CorrectionSummands, correction_summands_by_nearest_axis_values
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import Field, FieldSamples
 from calib.correction.machine_correction import AnyCorrection, Correction
@@ -86,7 +86,7 @@ def certify_chain_correction_extension(
     Returns (CertifiedChain, methods tried). Raises RigError where the way asked for does not take these samples, and
         what `identify_chain` raises
     """
-    report = progress or silent_progress
+    report = progress or ignore_progress
     label = configuration_numbers(samples.commanded, mechanism.travel_ranges(nominal))
 
     def geometry(some: Samples) -> Identified:

@@ -113,10 +113,10 @@ def _forward_in_place(L: Floats, B: Floats) -> None:
 
 
 @njit(cache=True)
-def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats, u: Floats, A: Floats) -> None:
-    """Strut lengths and directions at a pose, in place.
+def fill_strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats, u: Floats, A: Floats) -> None:
+    """Fill `length` (6,), `u` (6, 3) and `A` (6, 6) with strut lengths, directions and Jacobian at a pose R, t.
 
-    Into length (6,), u (6, 3) and A (6, 6), at pose R, t for parameters p (42,).
+    p : (42,) parameters
     """
     for i in range(6):
         a = p[18 + 3 * i : 21 + 3 * i]
@@ -133,17 +133,16 @@ def strut_lengths_and_directions(R: Floats, t: Floats, p: Floats, length: Floats
 
 
 @njit(cache=True)
-def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) -> bool:
-    """Forward kinematics kernel.
+def solve_pose_in_place_by_newton(command: Floats, p: Floats, R: Floats, t: Floats) -> bool:
+    """Solve the pose R (3, 3), t (3,) of a command by Newton, in place.
 
-    By Newton from pose R (3, 3), t (3,), in place.
     Returns whether it converged.
     """
     length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     reach = 0.3 * np.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) + 1e-3
     worst = np.inf
     for _ in range(MAX_ITERATIONS):
-        strut_lengths_and_directions(R, t, p, length, u, A)
+        fill_strut_lengths_and_directions(R, t, p, length, u, A)
         before, worst = worst, 0.0
         for i in range(6):
             right[i, 0] = command[i] + p[36 + i] - length[i]
@@ -164,8 +163,8 @@ def forward_kinematics_kernel(command: Floats, p: Floats, R: Floats, t: Floats) 
 
 
 @njit(cache=True)
-def pose_error_kernel(R: Floats, t: Floats, R_measured: Floats, t_measured: Floats, e: Floats) -> None:
-    """Pose error into e (6,).
+def fill_pose_error(R: Floats, t: Floats, R_measured: Floats, t_measured: Floats, e: Floats) -> None:
+    """Fill `e` (6,) with a pose error.
 
     Position (m) and rotation vector (rad) of the measured pose in the predicted one.
     """
@@ -182,21 +181,19 @@ def pose_error_kernel(R: Floats, t: Floats, R_measured: Floats, t_measured: Floa
 
 
 @njit(cache=True)
-def whitened_pose_row(
+def fill_whitened_pose_row(
     R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> tuple[bool, Floats]:
-    """Whitened row of one pose, docs/mathematics.md (7), in place.
+    """Fill the whitened row of one pose, docs/mathematics.md (7), into `right` and `J`.
 
     Error, pose and parameter columns.
-
-    .
 
     R, t : the predicted pose; p : (42,) m; measured : Measured, of one pose; scatter : (6,) m^2 variance of each strut
         beyond its covariance
     Returns (well, S): whether all is regular
     """
     length, u, A = np.empty(6), np.empty((6, 3)), np.empty((6, 6))
-    strut_lengths_and_directions(R, t, p, length, u, A)
+    fill_strut_lengths_and_directions(R, t, p, length, u, A)
     turned, inverse = A[:, :3].copy(), np.zeros((6, 6))
     for i in range(6):
         inverse[i, i] = 1.0
@@ -209,7 +206,7 @@ def whitened_pose_row(
                 C[i, j] += inverse[i, k] * scatter[k] * inverse[j, k]
     if not _cholesky_in_place(C):
         return False, inverse
-    pose_error_kernel(R, t, measured.R, measured.t, right[:, 0])
+    fill_pose_error(R, t, measured.R, measured.t, right[:, 0])
     _forward_in_place(C, right)
     _forward_in_place(C, inverse)
     for i in range(6):
@@ -226,7 +223,7 @@ def whitened_pose_row(
 def fill_whitened_rows_of_all_poses(
     commands: Floats, R: Floats, t: Floats, p: Floats, measured: Measured, scatter: Floats, right: Floats, J: Floats
 ) -> int:
-    """Whitened rows of all poses, as `whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
+    """Whitened rows of all poses, as `fill_whitened_pose_row` has them: right (n, 6, 1 + k), J (n, 6, 42).
 
     commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance,
         or -1
@@ -234,8 +231,8 @@ def fill_whitened_rows_of_all_poses(
     for i in range(len(commands)):
         one = Measured(measured.R[i], measured.t[i], measured.covariance[i])
         if (
-            not forward_kinematics_kernel(commands[i], p, R[i], t[i])
-            or not whitened_pose_row(R[i], t[i], p, one, scatter, right[i], J[i])[0]
+            not solve_pose_in_place_by_newton(commands[i], p, R[i], t[i])
+            or not fill_whitened_pose_row(R[i], t[i], p, one, scatter, right[i], J[i])[0]
         ):
             return i
     return -1

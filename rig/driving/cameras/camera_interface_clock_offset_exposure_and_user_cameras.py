@@ -23,7 +23,7 @@ import numpy as np
 from rig.array_and_json_types import Pixels
 from rig.driving.driving_clock import Clock
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
-    load_user_class,
+    load_user_class_and_its_file,
     user_class_error,
     wrap_user_call_to_locate_errors,
 )
@@ -220,12 +220,11 @@ STEPS = 8  # of setting and looking
 RANGE = (1e-5, 1.0)  # s
 
 
-def set_exposure_for_markers(
+def set_marker_exposure_and_measure_white(
     source: Source, measure_white_level: Callable[[Pixels], tuple[float, float]], start_exposure: float
 ) -> tuple[float, float]:
-    """Set a camera's exposure for markers.
+    """Set a camera's exposure such that markers do not clip; return it and the white level.
 
-    Such that they do not clip.
     measure_white_level : (image) -> (level of the markers' white, of 255; share of their pixels that clip);
     start_exposure : s
     Returns (exposure in s, white level of 255)
@@ -292,7 +291,7 @@ class UserSource:
 
     def __init__(self, camera: Camera, clock: Clock) -> None:
         """Raises FileError or RigError where its program cannot be used."""
-        kind, path = load_user_class(str(camera.source), UserCamera, GROUP, "camera")
+        kind, path = load_user_class_and_its_file(str(camera.source), UserCamera, GROUP, "camera")
         if kind.grab is UserCamera.grab:
             raise user_class_error(path, kind, "lacks grab, which returns an image")
         self.name, self.can_set_exposure, self._camera, self._clock = camera.name, kind.can_set_exposure, camera, clock

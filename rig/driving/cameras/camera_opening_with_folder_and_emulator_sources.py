@@ -35,7 +35,13 @@ from rig.driving.driving_clock import Clock
 from rig.errors import FileError
 from rig.model.design import Camera
 from rig.model.protocol_port_and_user_program_name_checks import is_user_file_or_package
-from rig.recording.exposures_and_image_files import JPEG, PNG, image_file_problem, image_size_from_header, read_image
+from rig.recording.exposures_and_image_files import (
+    JPEG,
+    PNG,
+    image_file_problem,
+    image_size_from_header,
+    read_grey_or_colour_image,
+)
 
 EVERY = 0.02  # s between looks
 QUIET = 0.2  # s without growth after which a file without an end mark of its own counts as whole
@@ -94,7 +100,7 @@ class FolderSource:
                     f"camera {self.name!r}: {path} is {size[0]} x {size[1]} px, but rig.toml has "
                     f"{expected[0]} x {expected[1]} px"
                 )
-            return read_image(path)
+            return read_grey_or_colour_image(path)
         except FileError as error:
             raise CameraError(f"camera {self.name!r}: {error}") from None
 

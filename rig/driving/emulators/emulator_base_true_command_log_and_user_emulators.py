@@ -19,7 +19,7 @@ from rig.driving.emulators.emulated_axis_motion_and_controller_faults import Emu
 from rig.driving.protocols.protocol_interface_and_user_line_protocol import LineProtocol
 from rig.driving.protocols.protocol_selection_and_user_protocols import GROUP
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
-    load_user_class,
+    load_user_class_and_its_file,
     user_class_error,
     wrap_user_call_to_locate_errors,
 )
@@ -355,7 +355,7 @@ def load_user_emulator(file_or_package: str) -> type[LineEmulator]:
     "file:PATH" or "package:NAME".
     Raises FileError, RigError.
     """
-    kind, path = load_user_class(file_or_package, LineEmulator, GROUP, "emulator")
+    kind, path = load_user_class_and_its_file(file_or_package, LineEmulator, GROUP, "emulator")
     for name in ("protocol", "answer"):
         if getattr(kind, name, None) is getattr(LineEmulator, name, None):
             raise user_class_error(path, kind, f"lacks {name}")

@@ -27,12 +27,12 @@ from rig.driving.protocols.symetrie import Symetrie
 from rig.driving.protocols.urscript import URScript
 from rig.driving.user_protocol_camera_sensor_classes_and_sensor_reader import (
     first_missing_member_of_user_class,
-    load_user_class,
+    load_user_class_and_its_file,
     user_class_error,
     wrap_user_call_to_locate_errors,
 )
 from rig.errors import ControllerFault, FileError
-from rig.formats.user_python_file_reading_and_running import literal_in_class_body, read_user_text
+from rig.formats.user_python_file_reading_and_running import literal_in_class_body, read_user_text_and_sha256
 from rig.model.design import Controller
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded, axis_units, require_hexapod
 from rig.model.protocol_port_and_user_program_name_checks import is_user_file_or_package
@@ -98,7 +98,7 @@ def load_user_protocol(controller: Controller, count: int) -> LineProtocol:
     It states "file:.." or "package:..".
     Raises FileError with the line.
     """
-    kind, path = load_user_class(controller.protocol, LineProtocol, GROUP, "protocol")
+    kind, path = load_user_class_and_its_file(controller.protocol, LineProtocol, GROUP, "protocol")
     if "_guarded" not in vars(kind):
         _check(kind, path)
         _guard(kind, path)
@@ -113,7 +113,7 @@ def _check(kind: type[LineProtocol], path: str) -> None:
     for name in TEXTS:
         if not isinstance(getattr(kind, name, None), str) or not getattr(kind, name):
             raise user_class_error(path, kind, f"lacks {name}, a text", name)
-    if not isinstance(literal_in_class_body(read_user_text(Path(path))[0], "urgent_stop"), bytes):
+    if not isinstance(literal_in_class_body(read_user_text_and_sha256(Path(path))[0], "urgent_stop"), bytes):
         raise user_class_error(
             path,
             kind,

@@ -20,8 +20,8 @@ from rig.effects.sketches.motion_effect_sketches import (
     Sketch,
     enlargement_factor,
     enlargement_text,
-    largest_suitable_unit,
     place_and_changed_values_text,
+    value_in_largest_suitable_unit,
 )
 from rig.model import machine_motion_simulation as motion_simulation
 from rig.model.arm_hands_effect_places_and_tolerances import Place
@@ -71,7 +71,7 @@ def _example_motion() -> Motion:
 def _over_covariate(effect: Effect, motion: Motion) -> str:
     """How far the hand is displaced, over what gives the effect away."""
     moved, shown = np.linalg.norm(effect.sway(motion)[:, :3], axis=1), effect.covariate(motion)
-    scale, unit = largest_suitable_unit(float(moved.max()), SMALL_UNITS)
+    scale, unit = value_in_largest_suitable_unit(float(moved.max()), SMALL_UNITS)
     series = [Series(shown.values, moved / scale, "", "dots", 1)]
     return plot_panel_svg("What gives it away", (shown.label, f"error of the hand, {unit}"), series, high=HIGH)
 

@@ -241,7 +241,7 @@ def _through_time(run: ExampleRun, error: Floats) -> str:
     """Commanded and actual position of the strut, its error enlarged."""
     commanded = run.motion.stroke[:, AXIS]
     much = enlargement_factor(np.abs(error).max(), SHARE * FAR)
-    scale, unit = largest_suitable_unit(run.t[-1], TIMES)
+    scale, unit = value_in_largest_suitable_unit(run.t[-1], TIMES)
     series = [
         Series(run.t / scale, commanded * 1e3, "told", "line", -1),
         Series(run.t / scale, (commanded + much * error) * 1e3, enlargement_text("done", much), "line", 1),
@@ -253,7 +253,7 @@ def _over_covariate(run: ExampleRun, error: Floats) -> str:
     """The error over what gives the effect away."""
     shown = run.effect.covariate(run.motion)
     across = np.asarray(shown.values)
-    scale, unit = largest_suitable_unit(np.abs(error).max(), UNITS)
+    scale, unit = value_in_largest_suitable_unit(np.abs(error).max(), UNITS)
     values = across[:, AXIS] if across.ndim == 2 else across
     return plot_panel_svg(
         "What gives it away",
@@ -329,10 +329,9 @@ def enlargement_text(text: str, factor: float) -> str:
     return text if factor == 1 else f"{text}, error {times} times"
 
 
-def largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
-    """Largest of the units that is suitable for a size.
+def value_in_largest_suitable_unit(size: float, units: dict[float, str]) -> tuple[float, str]:
+    """Value of a size in the largest unit in which it is 2 or more, and this unit.
 
-    In it the size is 2 or more.
     Returns (value, unit)
     """
     return next(

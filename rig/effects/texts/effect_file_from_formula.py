@@ -297,8 +297,8 @@ EXAMPLE = Written(
 )  # a strut that follows another one's travel
 
 
-def load_suggested_formula(folder: Path, place: str | None) -> tuple[str, Written]:
-    """Load the formula that a diagnosis in a folder suggests.
+def load_place_and_suggested_formula(folder: Path, place: str | None) -> tuple[str, Written]:
+    """Load the formula that a diagnosis in a folder suggests, and its place.
 
     Returns (place, Written)
     Raises RigError where it suggests nothing there, or several things anywhere.
@@ -352,7 +352,7 @@ def new_effect_from_suggestion_or_example(
     By the formula that a diagnosis suggests at a place, or by an example.
     path : of its file, to be named in errors; diagnosis_folder : with diagnosis.json, or None for the example
     place : None where the diagnosis suggests one formula
-    Raises RigError for an invalid name, a place without a diagnosis, and as `load_suggested_formula`
+    Raises RigError for an invalid name, a place without a diagnosis, and as `load_place_and_suggested_formula`
     """
     problem = effect_name_problem(name)
     if problem:
@@ -360,7 +360,7 @@ def new_effect_from_suggestion_or_example(
     if place is not None and diagnosis_folder is None:
         raise RigError("--place selects a suggestion of a diagnosis: state its folder with --from")
     found, formula = (
-        ("strut 1", EXAMPLE) if diagnosis_folder is None else load_suggested_formula(diagnosis_folder, place)
+        ("strut 1", EXAMPLE) if diagnosis_folder is None else load_place_and_suggested_formula(diagnosis_folder, place)
     )
     source = formula.source(name)
     (kind,) = effect_classes_of_source_text(source, path)

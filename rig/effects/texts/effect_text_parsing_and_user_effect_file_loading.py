@@ -29,7 +29,7 @@ from rig.formats.user_python_file_reading_and_running import (
     UserModule,
     line_in_file_of_error,
     line_of_class,
-    read_user_text,
+    read_user_text_and_sha256,
     run_user_text_as_module,
 )
 from rig.model import mechanisms
@@ -229,7 +229,7 @@ def load_effect_file(path: Path) -> Plugin:
 
     Raises FileError, with the line, where it cannot be read, run or used.
     """
-    text, digest = read_user_text(path)
+    text, digest = read_user_text_and_sha256(path)
     return Plugin(path, digest, effect_classes_of_source_text(text, path))
 
 

@@ -2,8 +2,8 @@
 as a recipe.
 """
 
-from rig.formats.importers.import_recipe import Recipe, load_recipe, recipe_of_options, recipe_toml
-from rig.formats.importers.recording_import import (
+from rig.formats.importers.foreign_file_import_recipe import Recipe, load_recipe, recipe_of_options, recipe_toml
+from rig.formats.importers.recording_import_from_foreign_files import (
     ImportedRecording,
     assemble_recording,
     design_with_imported_cameras,

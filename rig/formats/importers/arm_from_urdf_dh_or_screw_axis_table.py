@@ -147,7 +147,7 @@ class ArmFileOptions:
 
 
 def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
-    """Arm (ReadArm) read from the file that the options name, None where they name none.
+    """ReadArm (arm, joint names, source, lines) of the file that the options name, or None.
 
     Raises FileError as load_joint_chain of rig.formats.importers.urdf_joint_chain, and as
         rig.formats.importers.arm_joint_tables_of_dh_rows_or_screw_axes
@@ -162,7 +162,7 @@ def read_arm_file(options: ArmFileOptions) -> ReadArm | None:
 
 
 def read_urdf_arm(path: Path, tips: tuple[str, ...] = (), root: str | None = None) -> ReadArm:
-    """Arm (ReadArm) read from a URDF.
+    """ReadArm (arm, joint names, source, lines) of a URDF.
 
     Its joints are those from a root link to a tip, or to several; its forward kinematics is the URDF's.
     Raises FileError as rig.formats.importers.urdf_joint_chain.load_joint_chain
@@ -205,7 +205,7 @@ def _names_any(remark: str, names: list[str]) -> bool:
 
 
 def read_dh_table_arm(path: Path, is_modified: bool = False, units: str | None = None) -> ReadArm:
-    """Arm (ReadArm) read from a table of Denavit-Hartenberg rows.
+    """ReadArm (arm, joint names, source, lines) of a table of Denavit-Hartenberg rows.
 
     Raises FileError as rig.formats.importers.arm_joint_tables_of_dh_rows_or_screw_axes.load_denavit_hartenberg_table
     """

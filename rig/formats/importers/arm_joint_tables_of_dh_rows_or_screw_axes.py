@@ -14,9 +14,9 @@ from rig.array_and_json_types import Booleans, Floats
 from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.formats.importers.foreign_table_column_search_and_completion import Cells
-from rig.formats.importers.foreign_table_units_and_timestamps import split_header
-from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.foreign_table_units_and_timestamps import header_name_and_unit
 from rig.formats.importers.urdf_hands_and_dh_rows_of_joint_axes import (
     PlacedRows,
     denavit_hartenberg_rows_of_joint_axes,
@@ -101,7 +101,7 @@ def _columns(cells: Cells, known: tuple[str, ...], needed: tuple[str, ...]) -> d
     """{name of known: column}. Raises FileError for one that is unknown, there twice, or needed and missing."""
     found: dict[str, int] = {}
     for k, header in enumerate(cells.header):
-        name = split_header(header)[0].strip().lower()
+        name = header_name_and_unit(header)[0].strip().lower()
         if name not in known:
             near = nearest_known_word(name, known)
             _fail(

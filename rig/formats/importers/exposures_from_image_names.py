@@ -16,8 +16,8 @@ import numpy as np
 from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.importers import foreign_table_units_and_timestamps as times
+from rig.formats.importers.foreign_file_import_recipe import Images
 from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput, ambiguity_error
-from rig.formats.importers.import_recipe import Images
 from rig.formats.local_and_remote_input_files import nearest_name_hint, short_repr
 from rig.model.design import Design
 

@@ -13,6 +13,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.checks.mistake_dataclass_and_clock_mistakes import FASTEST, SLOWEST, USUAL
 from rig.errors import FileError, RigError
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     DIRECTION,
     FRAME,
@@ -28,7 +29,6 @@ from rig.formats.importers.foreign_table_units_and_timestamps import (
     is_likely_length_unit,
     likely_length_units_and_zeros,
 )
-from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model import mechanisms
 from rig.model.design import Design

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rig.errors import FileError
 from rig.formats.csv_and_parquet_tables_and_time_origin import is_parquet, read_parquet_cells
+from rig.formats.importers.foreign_file_import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     LONGEST,
     NUMBER,
@@ -18,7 +19,6 @@ from rig.formats.importers.foreign_table_column_search_and_completion import (
     lines_with_missing_header_added,
 )
 from rig.formats.importers.foreign_table_units_and_timestamps import ambiguity_error
-from rig.formats.importers.import_recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.formats.importers.yaml_and_matlab_tables_and_array_cells import (
     APART,
     cells_with_arrays_as_columns,

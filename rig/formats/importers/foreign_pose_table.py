@@ -14,6 +14,7 @@ from rig.array_and_json_types import Floats, Integers
 from rig.errors import FileError, NotConverged, RigError
 from rig.formats.checked_toml_and_json_entries import LARGEST_RIG, nearest_known_word
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import EULER, ForeignTable
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     DIRECTION,
     FRAME,
@@ -23,7 +24,6 @@ from rig.formats.importers.foreign_table_column_search_and_completion import (
     column_indices_by_headers,
 )
 from rig.formats.importers.foreign_table_units_and_timestamps import ambiguity_error
-from rig.formats.importers.import_recipe import EULER, ForeignTable
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 from rig.model.arm_hands_effect_places_and_tolerances import hand_names

@@ -16,6 +16,7 @@ from rig.array_and_json_types import Floats
 from rig.errors import RigError
 from rig.formats.checked_toml_and_json_entries import rig_part_name_problem
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     JOINT,
     LIMB,
@@ -23,8 +24,7 @@ from rig.formats.importers.foreign_table_column_search_and_completion import (
     Cells,
     column_indices_by_headers,
 )
-from rig.formats.importers.foreign_table_units_and_timestamps import split_header
-from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.foreign_table_units_and_timestamps import header_name_and_unit
 from rig.formats.numbers_and_units import LENGTHS
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_struts
@@ -127,13 +127,13 @@ AMBIENT = "ambient_temperature_C"
 
 def is_temperature_or_payload(header: str) -> bool:
     """Whether a header names a temperature or the payload's mass, by its unit."""
-    unit = split_header(header)[1]
+    unit = header_name_and_unit(header)[1]
     return SI.get(unit or "") == "C" or bool(unit in SI and re.fullmatch(r"(?i)payload(_mass)?", _joined(header)))
 
 
 def _joined(header: str) -> str:
     """A header's words without their unit, joined."""
-    bare = split_header(header)[0] if split_header(header)[1] else header
+    bare = header_name_and_unit(header)[0] if header_name_and_unit(header)[1] else header
     return re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
 
 
@@ -141,12 +141,12 @@ def _channel_names(headers: Sequence[str], mechanism: Mechanism) -> dict[str, li
     """{header: names} of channels. One temperature of the whole machine stands for the room's where none is logged:
     what effects of the whole machine follow.
     """
-    names = {header: _names(header, split_header(header)[1], mechanism) for header in headers}
+    names = {header: _names(header, header_name_and_unit(header)[1], mechanism) for header in headers}
     whole = rf"{TEMPERATURE}?{MACHINE}{TEMPERATURE}?|temp[a-z]*"
     of_machine = [
         header
         for header in headers
-        if SI.get(split_header(header)[1] or "") == "C"
+        if SI.get(header_name_and_unit(header)[1] or "") == "C"
         and re.fullmatch(whole, _joined(header).lower().replace("_", ""))
     ]
     if len(of_machine) == 1 and [AMBIENT] not in names.values():

@@ -16,16 +16,16 @@ from rig.array_and_json_types import Floats
 from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import LARGEST_NUMBER
 from rig.formats.csv_and_parquet_tables_and_time_origin import DIGITS
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.formats.importers.foreign_table_units_and_timestamps import (
     TIMES,
     Times,
     UnclearInput,
+    header_name_and_unit,
     index_of_first_unreadable_time,
     read_times,
-    split_header,
     unrecognised_unit_of_header,
 )
-from rig.formats.importers.import_recipe import ForeignTable
 from rig.formats.local_and_remote_input_files import short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
 
@@ -119,7 +119,7 @@ class Cells:
 
     def unit(self, at: int) -> str | None:
         """Unit that a column's header states, or None."""
-        return split_header(self.header[at])[1]
+        return header_name_and_unit(self.header[at])[1]
 
     def known_unit(self, at: int, setting: str) -> str | None:
         """The same. Raises FileError for a word in brackets that is none. setting : KEY=VALUE that states another"""
@@ -156,7 +156,7 @@ class Cells:
 
 def _normalised_header(header: str) -> str:
     """A header's name without its unit, capitals and punctuation: what is compared."""
-    plain = unicodedata.normalize("NFKD", split_header(header)[0].lower())
+    plain = unicodedata.normalize("NFKD", header_name_and_unit(header)[0].lower())
     return re.sub(r"[\W_]+", "", "".join(one for one in plain if not unicodedata.combining(one)))
 
 
@@ -224,7 +224,7 @@ def column_indices_by_headers(
     used = {*found.values(), *(cells.header.index(header) for header in supposed.values())}
     supposed |= _supposed_columns(cells, missing_still, header_names, used)
     absent = [ours for ours in missing if ours in required_names or ours in supposed]
-    if any(ours in required_names or split_header(supposed[ours])[1] in TIMES for ours in absent):
+    if any(ours in required_names or header_name_and_unit(supposed[ours])[1] in TIMES for ours in absent):
         unread = [header for k, header in enumerate(cells.header) if k not in found.values()]
         lines = [
             f"  {ours}: "
@@ -257,7 +257,9 @@ def _shared_prefix(header: Sequence[str], required: Sequence[tuple[str, ...]]) -
     required : of each column what its header may be called
     """
     plain = {_normalised_header(one) for one in header}
-    parts = [match.groups() for one in header if (match := re.fullmatch(r"(.+[\W_])([^\W_]+)", split_header(one)[0]))]
+    parts = [
+        match.groups() for one in header if (match := re.fullmatch(r"(.+[\W_])([^\W_]+)", header_name_and_unit(one)[0]))
+    ]
     before = [{prefix for prefix, word in parts if _normalised_header(word) in names} for names in required]
     shared = (
         set.intersection(*before) if len(required) > 1 and all(plain.isdisjoint(one) for one in required) else set()

@@ -76,7 +76,7 @@ MOST_BEYOND = 0.1  # of its range that a command may lie beyond it
 LEAST_TRAVEL = 0.02  # of its range that a strut moves in a recording
 
 
-def split_header(header: str) -> tuple[str, str | None]:
+def header_name_and_unit(header: str) -> tuple[str, str | None]:
     """Header split into (name, unit or None).
 
     `L1 [mm]`, `t (s)`, `l1_mm`, `x/m`.

@@ -18,6 +18,7 @@ from rig.formats.importers import exposures_from_image_names
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.foreign_command_table import ImportedCommands
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable, Recipe
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     CAMERA,
     FRAME,
@@ -28,7 +29,6 @@ from rig.formats.importers.foreign_table_column_search_and_completion import (
     column_indices_by_headers,
 )
 from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
-from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.recording.exposures_and_image_files import ONE_FRAME, SIMULTANEOUS
 from rig.recording.recording_folder import LAST_DWELL
 

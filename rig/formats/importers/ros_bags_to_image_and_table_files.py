@@ -17,8 +17,8 @@ import numpy as np
 from rig.array_and_json_types import Floats, Json
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.formats.checked_toml_and_json_entries import rig_part_name_problem
+from rig.formats.importers.foreign_file_import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
 from rig.formats.importers.foreign_table_units_and_timestamps import ambiguity_error
-from rig.formats.importers.import_recipe import FROM_BAG, TABLES, Bag, ForeignTable, Images, Recipe
 from rig.formats.importers.ros_messages_to_images_and_rows import (
     IMAGES,
     JOINTS,

@@ -10,6 +10,7 @@ from decimal import Decimal
 from rig.errors import FileError
 from rig.formats.importers.foreign_command_table import ImportedCommands
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable, Recipe
 from rig.formats.importers.foreign_pose_table import ImportedPoses
 from rig.formats.importers.foreign_sensor_table import (
     ImportedSensors,
@@ -18,7 +19,6 @@ from rig.formats.importers.foreign_sensor_table import (
     sensor_channels,
 )
 from rig.formats.importers.foreign_table_column_search_and_completion import Cells
-from rig.formats.importers.import_recipe import ForeignTable, Recipe
 from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import Like
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism
 

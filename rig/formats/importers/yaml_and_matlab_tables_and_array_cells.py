@@ -16,7 +16,7 @@ from rig.array_and_json_types import Booleans, Floats, Json
 from rig.errors import FileError, RigError
 from rig.formats.checked_toml_and_json_entries import Entries
 from rig.formats.importers.foreign_table_column_search_and_completion import LONGEST, NUMBER, Cells
-from rig.formats.importers.foreign_table_units_and_timestamps import split_header
+from rig.formats.importers.foreign_table_units_and_timestamps import header_name_and_unit
 from rig.formats.json_toml_and_yaml_loading import load_yaml
 from rig.formats.local_and_remote_input_files import read_bytes, short_repr
 from rig.formats.numbers_and_units import ANGLES, LENGTHS
@@ -93,12 +93,12 @@ def cells_with_arrays_as_columns(cells: Cells, section: str) -> Cells:
 
 
 def _is_of_joints(name: str) -> bool:
-    plain = split_header(name)[0].lower()
+    plain = header_name_and_unit(name)[0].lower()
     return plain in ("q", "l", "j") or any(word in plain for word in JOINTS)
 
 
 def _is_of_a_pose(name: str) -> bool:
-    plain = split_header(name)[0].lower()
+    plain = header_name_and_unit(name)[0].lower()
     return not _is_of_joints(name) and any(word in plain for word in (*TURNS, *PLACES))
 
 
@@ -149,7 +149,7 @@ def _is_matrix(shape: tuple[int, int]) -> bool:
 
 def _names(cells: Cells, name: str, section: str, shape: tuple[int, int], at: int) -> list[str]:
     """Names of the columns that the numbers of a plain list become, with the unit that its header states."""
-    plain, unit = split_header(name)
+    plain, unit = header_name_and_unit(name)
     count = shape[0] * shape[1]
     given = "" if unit is None else f" [{unit}]"
     if section == "commands" and 1 in shape:
@@ -189,7 +189,7 @@ def _of_matrices(cells: Cells, found: list[ArrayCell], at: int) -> tuple[list[st
     turns = [[f"{x:.17g}" for x in row] for row in Rotation.from_matrix(R).as_rotvec()]
     if square == (3, 3):
         return list(VECTOR), turns
-    _, unit = split_header(cells.header[at])
+    _, unit = header_name_and_unit(cells.header[at])
     given = f" [{unit}]" if unit in LENGTHS else ""
     places = words[:, :3, 3].tolist()
     return [*(f"{one}{given}" for one in PLACE), *VECTOR], [[*p, *turn] for p, turn in zip(places, turns)]

@@ -25,7 +25,7 @@ from rig.model.design import (
     Permission,
     Target,
 )
-from rig.model.design_comparison_and_cube_turning_instructions import find_cube_of_text, parse_cube_turn_permission
+from rig.model.design_contradictions_and_cube_quarter_turns import cube_name_or_problem, cube_turn_permission_or_problem
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Mechanism, has_links
 from rig.model.pose import pose_to_vector
 from rig.model.protocol_port_and_user_program_name_checks import USER_PROGRAMS, is_user_file_or_package
@@ -259,7 +259,7 @@ def experiment_permission(table: Entries, targets: tuple[Target, ...]) -> Permis
         )
     out = []
     for i, word in enumerate(may):
-        allowed, problem = parse_cube_turn_permission(word, targets)
+        allowed, problem = cube_turn_permission_or_problem(word, targets)
         if problem:
             table.fail(f"{table.name('may')}[{i + 1}]: {problem}", "may", i, value=word)
         out.append(allowed)
@@ -272,7 +272,7 @@ def targets_with_cubes_turned_by_table(table: Entries, targets: tuple[Target, ..
     """
     out, places = list(targets), {}
     for key in table.tree:
-        name, problem = find_cube_of_text(key, targets)
+        name, problem = cube_name_or_problem(key, targets)
         if problem:
             table.fail(f"turned: {problem}", key, value=key)
         at = places[key] = next(k for k, target in enumerate(targets) if target.name == name)

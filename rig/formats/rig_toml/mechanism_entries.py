@@ -320,20 +320,21 @@ def mechanism_of_table(table: Entries) -> Mechanism:
     stated = table.get("kind", "")
     if isinstance(stated, str) and stated.startswith(FILE):
         table.refuse_misspelt(("kind",))
-        return mechanism_of_file(table, "kind", stated.removeprefix(FILE))
+        return mechanism_of_kinematics_file(table, "kind", stated.removeprefix(FILE))
     return WHOLE[table.text("kind", tuple(WHOLE))](table)
 
 
-def mechanism_of_file(table: Entries, key: str, name: str) -> FileMechanism:
-    """Mechanism of a kinematics file.
+def mechanism_of_kinematics_file(table: Entries, key: str, file_name: str) -> FileMechanism:
+    """Mechanism of a kinematics file, file_name, that is beside the file of `table`.
 
-    The file is beside the one that names it.
-    key : where that is.
+    key : of the entry that names it
     Raises FileError.
     """
-    if not name.endswith(".py") or Path(name).name != name:
-        table.fail(f"{table.name(key)} names a Python file beside this one, such as file:delta.py, not {name!r}", key)
-    path = table.file.parent / name
+    if not file_name.endswith(".py") or Path(file_name).name != file_name:
+        table.fail(
+            f"{table.name(key)} names a Python file beside this one, such as file:delta.py, not {file_name!r}", key
+        )
+    path = table.file.parent / file_name
     source = read_text(path, LARGEST_SOURCE, f"no such file, which {table.name(key)} of {table.file} names")
     return nominal_mechanism_of_kinematics_file(str(path), source)
 

@@ -293,7 +293,7 @@ def link_points(q: Floats, arm: Arm) -> Floats:
 
 
 def strut_ends(T: RigidTransform, arm: Arm) -> None:
-    """Strut ends, which an arm has none of: None."""
+    """None: an arm has no strut ends."""
     return None
 
 

@@ -63,11 +63,8 @@ def rotate_point(p: Vector, o: Vector, u: Vector, c: float, s: float) -> Vector:
 
 
 @njit(cache=True, error_model="numpy")
-def angle_about_axis(a: Vector, b: Vector, u: Vector) -> tuple[float, float, float, float]:
-    """Angle from a to b about the axis u.
-
-    With its cosine, sine and the product of their lengths across u.
-    """
+def angle_cosine_and_sine_about_axis(a: Vector, b: Vector, u: Vector) -> tuple[float, float, float, float]:
+    """Angle from a to b about the axis u, its cosine and sine, and the product of their lengths across u."""
     a, b = add_scaled(a, u, -dot(a, u)), add_scaled(b, u, -dot(b, u))
     s, c = dot(u, cross(a, b)), dot(a, b)
     size = sqrt(s * s + c * c)
@@ -116,12 +113,10 @@ def first_joint_angles_for_axis_2_offset(
 
 
 @njit(cache=True, error_model="numpy")
-def both_elbow_points(
+def elbow_points_and_distances(
     o: Vector, u: Vector, upper_arm: float, forearm: float, point: Vector
 ) -> tuple[Vector, Vector, float, float, float, float]:
-    """Both elbow points at distance `upper_arm` from axis (o, u) and `forearm` from a point.
-
-    With distances in m.
+    """Both elbow points, `upper_arm` from axis (o, u) and `forearm` from a point, and distances.
 
     (first, second, height, by how much the point is too far, too near, its distance), all in m.
     """
@@ -244,16 +239,20 @@ def spherical_wrist_inverse(
                 rotate_vector(ey, u1, c, s),
                 rotate_vector(ez, u1, c, s),
             )
-            e1, e2, h2, far, close, span = both_elbow_points(o2, u2, upper, lower, W1)
+            e1, e2, h2, far, close, span = elbow_points_and_distances(o2, u2, upper, lower, W1)
             if max(far, close) > SLACK:
                 if max(far, close) < worst:
                     worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
                 continue
             for n2 in range(2):
                 t2, c, s, _ = (
-                    _set(free_joint_values[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                    _set(free_joint_values[1])
+                    if span < FREE
+                    else angle_cosine_and_sine_about_axis(arm, e1 if n2 == 0 else e2, u2)
                 )
-                t3, d, e, _ = angle_about_axis(fore, add_scaled(rotate_point(W1, o2, u2, c, -s), o3, -1.0), u3)
+                t3, d, e, _ = angle_cosine_and_sine_about_axis(
+                    fore, add_scaled(rotate_point(W1, o2, u2, c, -s), o3, -1.0), u3
+                )
                 s, e = -s, -e
                 x, y, z = (
                     rotate_vector(rotate_vector(x1, u2, c, s), u3, d, e),
@@ -269,10 +268,12 @@ def spherical_wrist_inverse(
                 for n5 in range(2):
                     t5 = first5 if n5 == 0 else second5
                     c, s = np.cos(t5), np.sin(t5)
-                    t4, d, e, size = angle_about_axis(rotate_vector(u6, u5, c, s), v, u4)
+                    t4, d, e, size = angle_cosine_and_sine_about_axis(rotate_vector(u6, u5, c, s), v, u4)
                     if size < FREE**2:
                         t4, d, e, _ = _set(free_joint_values[3])
-                    t6 = angle_about_axis(mark, rotate_vector(rotate_vector(w, u4, d, -e), u5, c, -s), u6)[0]
+                    t6 = angle_cosine_and_sine_about_axis(
+                        mark, rotate_vector(rotate_vector(w, u4, d, -e), u5, c, -s), u6
+                    )[0]
                     b = 4 * n1 + 2 * n2 + n5
                     q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6
                     flags[m, b] = SHOULDER * (h1 < SINGULAR) + ELBOW * (h2 < SINGULAR) + WRIST * (h5 < SINGULAR)
@@ -294,7 +295,7 @@ def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, f
     if a * b < FREE or least > most or abs(upper - fore) <= reach <= upper + fore:
         return turn
     middle = 0.5 * (least + most)
-    return angle_about_axis(span, flat, u)[0] + np.arccos(
+    return angle_cosine_and_sine_about_axis(span, flat, u)[0] + np.arccos(
         min(max((a * a + b * b - middle * middle) / (2 * a * b), -1.0), 1.0)
     )
 
@@ -362,11 +363,11 @@ def parallel_axes_inverse(
             for n5 in range(2):
                 t5 = first5 if n5 == 0 else second5
                 c, s = np.cos(t5), np.sin(t5)
-                turn, d, e, size = angle_about_axis(rotate_vector(u6, u5, c, s), v, u2)
+                turn, d, e, size = angle_cosine_and_sine_about_axis(rotate_vector(u6, u5, c, s), v, u2)
                 if (
                     size < FREE**2
                 ):  # axis 6 along 2: one motion of all four leaves the hand still, so take a place of it that can be
-                    turn = angle_about_axis(
+                    turn = angle_cosine_and_sine_about_axis(
                         rotate_vector(
                             rotate_vector(mark, u6, np.cos(free_joint_values[5]), np.sin(free_joint_values[5])),
                             u5,
@@ -377,18 +378,24 @@ def parallel_axes_inverse(
                         u2,
                     )[0]
                     turn, d, e, _ = _set(_within(turn, add_scaled(P1, o2, -1.0), last, u2, upper, lower))
-                t6 = angle_about_axis(mark, rotate_vector(rotate_vector(w, u2, d, -e), u5, c, -s), u6)[0]
+                t6 = angle_cosine_and_sine_about_axis(mark, rotate_vector(rotate_vector(w, u2, d, -e), u5, c, -s), u6)[
+                    0
+                ]
                 D = add_scaled(P1, rotate_vector(last, u2, d, e), -1.0)
-                e1, e2, h2, far, close, span = both_elbow_points(o2, u2, upper, lower, D)
+                e1, e2, h2, far, close, span = elbow_points_and_distances(o2, u2, upper, lower, D)
                 if max(far, close) > SLACK:
                     if max(far, close) < worst:
                         worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
                     continue
                 for n2 in range(2):
                     t2, f, g, _ = (
-                        _set(free_joint_values[1]) if span < FREE else angle_about_axis(arm, e1 if n2 == 0 else e2, u2)
+                        _set(free_joint_values[1])
+                        if span < FREE
+                        else angle_cosine_and_sine_about_axis(arm, e1 if n2 == 0 else e2, u2)
                     )
-                    t3 = angle_about_axis(fore, add_scaled(rotate_point(D, o2, u2, f, -g), o3, -1.0), u3)[0]
+                    t3 = angle_cosine_and_sine_about_axis(
+                        fore, add_scaled(rotate_point(D, o2, u2, f, -g), o3, -1.0), u3
+                    )[0]
                     t4 = wrap_angle(wrap_angle(sign4 * (turn - t2 - sign3 * t3)))
                     b = 4 * n1 + 2 * n2 + n5
                     q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6

@@ -1,6 +1,6 @@
-"""Hexapod (Gough-Stewart platform).
+"""Hexapod (Gough-Stewart platform): forward and inverse kinematics, Jacobian, limits and loads.
 
-Forward and inverse kinematics, Jacobian, strut limits and loads, singular geometries, twist of its cardans.
+Also singular geometries, and the twist of its cardans.
 """
 
 from __future__ import annotations
@@ -177,10 +177,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, hexapod: Hexapod) 
 
 
 def link_points(lengths: Floats, hexapod: Hexapod) -> None:
-    """Link points, which a hexapod has none of.
-
-    For lengths (n, struts) m; it has no arm links to draw.
-    """
+    """None for any lengths (n, struts) m: a hexapod has no arm links to draw."""
     return None
 
 

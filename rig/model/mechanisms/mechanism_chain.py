@@ -220,13 +220,10 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, chain: Chain) -> Fl
 
 
 def link_points(values: Floats, chain: Chain) -> None:
-    """Link points, which a chain has none of.
-
-    At values (n, axes); a chain is drawn without links.
-    """
+    """None for any values (n, axes): a chain is drawn without links."""
     return None
 
 
 def strut_ends(T: RigidTransform, chain: Chain) -> None:
-    """Strut ends, which a chain is drawn without: None."""
+    """None: a chain is drawn without struts."""
     return None

@@ -136,7 +136,7 @@ def jacobian_rows_by_axis(T: RigidTransform, lengths: Floats, planar: Planar2) -
 
 
 def link_points(lengths: Floats, planar: Planar2) -> None:
-    """Link points, which two struts of lengths (n, 2) m have none of."""
+    """None for any lengths (n, 2) m: two struts have no arm links to draw."""
     return None
 
 

@@ -276,7 +276,7 @@ def parameter_units_and_scales(mechanism: FileMechanism) -> tuple[tuple[str, ...
 
 
 def parameter_names(mechanism: FileMechanism) -> tuple[str, ...]:
-    """Names of the identified parameters, in order."""
+    """Names of the parameters that are fitted, of all that the file states, in order."""
     names = mechanism.stated.names
     return tuple(names[k] for k in fitted_parameter_indices(mechanism))
 
@@ -341,13 +341,10 @@ def jacobian_rows_by_axis(T: RigidTransform, values: Floats, mechanism: FileMech
 
 
 def link_points(values: Floats, mechanism: FileMechanism) -> None:
-    """Points of links for drawing at values (n, axes).
-
-    None, the file states no shapes.
-    """
+    """None for any values (n, axes): a kinematics file states no links to draw."""
     return None
 
 
 def strut_ends(T: RigidTransform, mechanism: FileMechanism) -> None:
-    """Strut ends, which a kinematics file states none of: None."""
+    """None: a kinematics file states no strut ends."""
     return None

@@ -98,8 +98,8 @@ def image_plane_figure(
     return svg_figure(int(TOP + tall + 24), f"{title}: {caption}", parts)
 
 
-def image_patch_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
-    """Means of values (n, k) by square patches of uv (n, 2) >= 0.
+def image_patch_centres_and_means(uv: Floats, values: Floats, cell: float) -> tuple[Floats, Floats]:
+    """Centres of square patches of uv (n, 2) >= 0, and means of values (n, k) in them.
 
     cell : a square's side, as uv
     Returns (centres (c, 2), means (c, k))

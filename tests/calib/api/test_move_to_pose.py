@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.api.correction_server_and_move_to_pose import plan_pose_move, require_same_rig
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.machine_correction import Correction
-from calib.models.machine_models import machine_model_of_mechanism
+from calib.models.machine_parameters_and_file_entries import machine_model_of_mechanism
 from rig.driving.emulators.move_trials_through_emulator_with_faults import emulated_driver_with_emulator_and_clock
 from rig.errors import RigError
 from rig.formats.rig_toml.design_from_rig_toml import load_design

@@ -9,7 +9,7 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.configuration_space_correction_certification import claim_without_geometry
-from calib.certification.platform_certification import platform_pose_covariance
+from calib.certification.platform_certification import corrected_platform_pose_covariance
 from calib.correction import correction_field_methods_fitting_combination_and_json
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import (
     FieldSamples,
@@ -84,7 +84,7 @@ def test_a_map_over_poses_takes_what_depends_on_the_pose(machine, design, space)
     assert np.abs(pose_difference(done.correction.predict(done.correction.inverse(wanted)), wanted)).max() < 1e-11
     assert left(done.correction, before, wanted) < 0.05 * left(before.correction, before, wanted)
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
-    stated = np.sqrt(np.trace(platform_pose_covariance(made, wanted)[:, :3, :3], axis1=1, axis2=2).mean())
+    stated = np.sqrt(np.trace(corrected_platform_pose_covariance(made, wanted)[:, :3, :3], axis1=1, axis2=2).mean())
     assert 0.2 * left(done.correction, before, wanted) < stated < 20 * left(done.correction, before, wanted)
     claim = claim_without_geometry(samples, done, np.random.default_rng(0))
     assert "in pose space" in claim.tolerance and claim.after[0][0] < 0.2 * claim.before[0][0]
@@ -115,7 +115,10 @@ def test_a_pass_in_a_part_leaves_the_rest_as_it_was_and_knows_it_no_better(machi
     assert moved[far].max() < 1e-15
     made = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), None, {})
     np.testing.assert_allclose(
-        platform_pose_covariance(made, T[far]), platform_pose_covariance(before, T[far]), rtol=1e-6, atol=1e-20
+        corrected_platform_pose_covariance(made, T[far]),
+        corrected_platform_pose_covariance(before, T[far]),
+        rtol=1e-6,
+        atol=1e-20,
     )
 
 

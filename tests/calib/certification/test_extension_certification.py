@@ -13,7 +13,7 @@ from calib.certification.configuration_space_correction_certification import (
     certify_extended_correction,
     claim_without_geometry,
 )
-from calib.certification.platform_certification import platform_pose_covariance, platform_workspace_claim
+from calib.certification.platform_certification import corrected_platform_pose_covariance, platform_workspace_claim
 from calib.correction.correction_field_methods_fitting_combination_and_json import (
     rms_and_greatest_strut_single_step_error,
 )
@@ -125,7 +125,7 @@ def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design
     np.testing.assert_allclose(loaded.correction.rho(inner), done.correction.rho(inner), atol=1e-18)
     T = real(inner, true, coupled)
     error = pose_difference(loaded.correction.predict(inner), T)
-    stated = platform_pose_covariance(loaded, T)
+    stated = corrected_platform_pose_covariance(loaded, T)
     ratio = (error[:, :3] ** 2).sum() / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
     assert 0.05 < ratio < 4
     top, _ = certify_extended_correction(

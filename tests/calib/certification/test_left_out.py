@@ -12,10 +12,10 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 )
 from calib.certification.platform_certification import (
     certify_platform,
-    platform_pose_covariance,
+    corrected_platform_pose_covariance,
     platform_workspace_claim,
 )
-from calib.certification.strut_deviation_covariance_functions import (
+from calib.certification.strut_deviation_covariance_functions_by_cause import (
     CONDITION,
     PLACE,
     SAMPLE,
@@ -77,7 +77,7 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
         "cyclic_error": "residuals",
     }[case[1]] in text
     assert calibration.scatter.max() > 5 * of.sigma[0]
-    C = platform_pose_covariance(calibration, wanted)[:, :3, :3]
+    C = corrected_platform_pose_covariance(calibration, wanted)[:, :3, :3]
     assert (np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815).mean() > 0.75
 
 
@@ -92,7 +92,7 @@ def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
     ):
         of, calibration, *_ = calibrated(tmp_path / str(k), seed, effect, "strong", plan)
         off, wanted = driven(of, calibration)
-        C = platform_pose_covariance(calibration, wanted)[:, :3, :3]
+        C = corrected_platform_pose_covariance(calibration, wanted)[:, :3, :3]
         inside.append(np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815)
         np.testing.assert_allclose(np.sqrt(np.diag(calibration.strut_covariance)), calibration.scatter)
     assert np.mean(inside) > 0.93

@@ -22,7 +22,7 @@ from tests.calib.noisy_samples import rms
 def measured(limbed):
     """(Samples whose commands are the readings, the limbs as stated, all frames, all readings)."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(read)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(read)
     return (
         measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
             sample_recording(read).samples, frames, lengths
@@ -46,7 +46,9 @@ def test_readings_are_the_limbs_lengths(limbed, measured):
 def test_calibrated_limbs_measure_poses_as_stated(limbed, measured):
     _, _, done = limbed
     samples, nominal, frames, lengths = measured
-    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
+        samples, nominal, 1e-6
+    )
     T = limbs.pose(lengths)
     true = done.run.T_base_platform
     error = pose_difference(true, T)
@@ -71,7 +73,9 @@ def test_calibrated_limbs_measure_poses_as_stated(limbed, measured):
 
 def test_agreement_is_what_covariances_expect(measured):
     samples, nominal, *_ = measured
-    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses_and_expected_covariance(
+        samples, nominal, 1e-6
+    )
     found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
@@ -96,7 +100,9 @@ def test_limits_of_agreement_are_hand_worked(design):
 @pytest.mark.parametrize("spoil", ["bias", "scatter", "scale"])
 def test_limbs_that_are_wrong_do_not_pass(measured, spoil):
     samples, nominal, *_ = measured
-    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses_and_expected_covariance(
+        samples, nominal, 1e-6
+    )
     wrong = np.zeros((len(samples), 6))
     if spoil == "bias":
         wrong[:, 2] = 6e-5
@@ -114,7 +120,9 @@ def test_limbs_that_are_wrong_do_not_pass(measured, spoil):
 def test_struts_are_learnt_from_the_limbs_alone(limbed, measured):
     _, read, done = limbed
     samples, nominal, frames, lengths = measured
-    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)
+    limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
+        samples, nominal, 1e-6
+    )
     T = limbs.pose(lengths)
     own, common = limbs.uncertainty(T)
     learner = Online(read.design.mechanism, shared=42)
@@ -144,13 +152,13 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
     with pytest.raises(RigError, match=r"no \[insitu\] table"):
         measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design)
     with pytest.raises(RigError, match="'m3' is missing"):
-        measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(
+        measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(
             replace(
                 read, sensors=Sensors(read.sensors.t, {k: v for k, v in read.sensors.channels.items() if k != "m3"})
             )
         )
     with pytest.raises(RigError, match="there is no sensors.csv"):
-        measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(replace(read, sensors=None))
+        measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(replace(read, sensors=None))
     sparse = Sensors(
         np.arange(0.0, 2000.0, 30.0) + 0.123,
         {
@@ -159,7 +167,7 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
         },
     )
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
-        measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(replace(read, sensors=sparse))
+        measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(replace(read, sensors=sparse))
     (tmp_path / "rig.toml").write_text(
         hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, legs=(6, 6)).replace(
             "length_sigma = 1e-6", "length_sigma = -1"
@@ -172,6 +180,6 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
 def test_too_few_poses_for_limits(measured):
     samples, nominal, *_ = measured
     with pytest.raises(NotEnoughData, match="at least 20"):
-        measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(
+        measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses_and_expected_covariance(
             samples.take(np.arange(12)), nominal, 1e-6
         )

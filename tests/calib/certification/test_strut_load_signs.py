@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.certification.strut_deviation_covariance_functions import (
+from calib.certification.strut_deviation_covariance_functions_by_cause import (
     PLACES,
     strut_load_signs_with_sign_mean_and_variance,
 )

@@ -12,7 +12,7 @@ from rig.model.design import Target, markers_of_target
 from rig.model.pose import pose, pose_to_vector
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from tests.calib.checks.good import make
-from vision.checks.recording_refusal_and_uneven_cube_remarks import unevenly_placed_cubes_remarks
+from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import unevenly_placed_cubes_remarks
 
 TEXT = hexapod_layout_and_camera_placement.hexapod_layout_rig_toml(0.3, cameras=3, width=1280, height=1024, cubes=4)
 

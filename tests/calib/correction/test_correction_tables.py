@@ -11,7 +11,7 @@ from calib.correction.correction_tables import (
     axis_correction_tables,
     correction_summand_column_names,
     correction_summand_csv_rows,
-    grid_correction_table,
+    grid_commands_and_corrections,
     strut_correction_summands,
 )
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import FieldSamples
@@ -78,7 +78,7 @@ def test_a_table_for_each_joint_says_what_it_cannot_hold(design):
 def test_a_grid_read_back_gives_the_commands(additive, design):
     m = design.mechanism
     text = json_csv_linuxcnc_and_camera_file_exports.correction_grid_csv(
-        *grid_correction_table(additive, 2), m.axes, "m"
+        *grid_commands_and_corrections(additive, 2), m.axes, "m"
     )
     lines = text.splitlines()
     comments, header = (

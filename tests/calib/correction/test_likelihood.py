@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib.correction.interpolation.gaussian_process import Likelihood
+from calib.correction.interpolation.gaussian_process_interpolation import Likelihood
 
 
 def test_it_is_the_normal_density_and_its_gradient():

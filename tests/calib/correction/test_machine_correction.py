@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.correction.interpolation import gaussian_process
+from calib.correction.interpolation import gaussian_process_interpolation as gaussian_process
 from calib.correction.machine_correction import (
     Correction,
     fit_geometry_and_remainder_of_correction,

@@ -15,7 +15,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.effects.framework.effect_base_class import Candidate, Linear
@@ -103,7 +103,7 @@ def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
 
 
 def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design):
-    point = operating_point_of_recording(
+    point = operating_point_source_and_measurement(
         recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40", seed=0)
     )[0]
     refined = refine_operating_point(point, Sensitivities(point))

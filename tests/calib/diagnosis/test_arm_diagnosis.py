@@ -10,8 +10,13 @@ from calib.api.diagnose import diagnose
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
-from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Geometry, linearise_poses
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    joint_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
+    Geometry,
+    linearised_arm_poses_and_geometry,
+)
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
@@ -54,7 +59,7 @@ def recorded(deviation, count=260, seed=5):
     rng = np.random.default_rng(seed)
     true = secret_arms.secret(UR10, rng)
     samples = secret_arms.tracked(true, UR10, count, rng, deviation=deviation)
-    return linearise_poses(samples, secret_arms.design(UR10)), true
+    return linearised_arm_poses_and_geometry(samples, secret_arms.design(UR10)), true
 
 
 def hidden(q):
@@ -77,7 +82,7 @@ def hidden(q):
 @pytest.fixture(scope="module")
 def found():
     (arms, _), _ = recorded(hidden)
-    candidates, _ = joint_candidates(arms, RequestedEffects())
+    candidates, _ = joint_candidates_and_untested_effects(arms, RequestedEffects())
     problem = ArmProblem(arms, candidates)
     return problem, select_terms(problem)
 
@@ -127,8 +132,8 @@ def test_what_a_heavy_arm_and_a_gear_do_shows_at_one_reflector():
     samples = secret_arms.tracked(true, stated, 200, rng, sigma=(5e-5, 1e-4), deviation=giving_way)
     covariance = samples.covariance.copy()
     covariance[:, range(3, 6), range(3, 6)] = np.inf  # a reflector has no rotation
-    arms, _ = linearise_poses(replace(samples, covariance=covariance), secret_arms.design(stated))
-    fit = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
+    arms, _ = linearised_arm_poses_and_geometry(replace(samples, covariance=covariance), secret_arms.design(stated))
+    fit = select_terms(ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects())[0])).fit
     terms = {(t.candidate.name, t.candidate.place): n for n, t in enumerate(fit.terms)}
     assert set(terms) == {("compliance", "joint 2"), ("compliance", "joint 3"), ("scale_error", "joint 3")}
     number, load = terms["scale_error", "joint 3"], giving_way(arms.q)
@@ -143,7 +148,10 @@ def test_what_a_heavy_arm_and_a_gear_do_shows_at_one_reflector():
 def test_nothing_hidden_nothing_found():
     for seed in (1, 2):
         (arms, _), _ = recorded(None, 200, seed)
-        assert select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms == ()
+        assert (
+            select_terms(ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects())[0])).fit.terms
+            == ()
+        )
 
 
 def test_few_poses_are_an_error():
@@ -154,7 +162,9 @@ def test_few_poses_are_an_error():
 @pytest.mark.slow
 def test_few_poses_are_asked_what_they_bear():
     """25 poses bear three numbers of an effect; what has more is stated with the poses that it takes; 60 bear all."""
-    few, many = (joint_candidates(recorded(None, count)[0][0], RequestedEffects()) for count in (25, 60))
+    few, many = (
+        joint_candidates_and_untested_effects(recorded(None, count)[0][0], RequestedEffects()) for count in (25, 60)
+    )
     reasons = {one.effect: one.reason for one in few[1]}
     numbers = [len(one.prior(node)) + one.extra for one in few[0] for node in one.grid]
     assert max(numbers) == 3 and {"scale_error", "backlash", "cyclic_error", "hysteresis"} <= {c.name for c in few[0]}
@@ -171,10 +181,13 @@ def test_a_large_backlash_shows_in_25_poses_and_nothing_in_quiet_ones():
     """A play of several times the noise is found from 25 poses, at its joint; without it nothing is."""
     for seed in range(2):
         (arms, _), _ = recorded(None, 25, seed)
-        assert select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms == ()
+        assert (
+            select_terms(ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects())[0])).fit.terms
+            == ()
+        )
     third = np.arange(6) == 2
     (arms, _), _ = recorded(lambda q: third * (play_operator(q, 3 * GAP / 2) - q), 25, 0)
-    found = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit.terms
+    found = select_terms(ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects())[0])).fit.terms
     assert [(term.candidate.name, term.candidate.place) for term in found] == [("backlash", "joint 3")]
 
 

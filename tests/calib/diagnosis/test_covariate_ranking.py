@@ -11,8 +11,10 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import ranked_covariates
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    joint_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearised_arm_poses_and_geometry
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
@@ -76,6 +78,8 @@ def arm_with_play():
     def deviation(q):
         return (play_operator(q, 3e-4) - q) * (np.arange(6) == 2)
 
-    arms, _ = linearise_poses(secret_arms.tracked(true, UR10, 150, rng, deviation=deviation), secret_arms.design(UR10))
-    candidates, _ = joint_candidates(arms, RequestedEffects.of(["backlash"], (), NO_STATED_TERMS))
+    arms, _ = linearised_arm_poses_and_geometry(
+        secret_arms.tracked(true, UR10, 150, rng, deviation=deviation), secret_arms.design(UR10)
+    )
+    candidates, _ = joint_candidates_and_untested_effects(arms, RequestedEffects.of(["backlash"], (), NO_STATED_TERMS))
     return ArmProblem(arms, candidates), arms

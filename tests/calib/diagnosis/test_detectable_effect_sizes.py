@@ -5,11 +5,13 @@ import pytest
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold, least_significant_delta_chi2
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM
-from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import scan_p_value
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.detectable_joint_effect_sizes import detectable_joint_effect_sizes
-from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    joint_candidates_and_untested_effects,
+)
 from calib.diagnosis.problems.detectable_effect_sizes import DetectableSize, smallest_detectable_size_by_place
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_entries, detectable_size_line
@@ -28,7 +30,7 @@ EFFECTS = {
 
 def problem_of(deviation, count, seed):
     (arms, _), _ = recorded(deviation, count, seed)
-    return ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])
+    return ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects())[0])
 
 
 def stated(count):

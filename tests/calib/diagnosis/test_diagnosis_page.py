@@ -14,8 +14,8 @@ from calib.diagnosis.problems.platform import platform_recording_evidence as pla
 from calib.diagnosis.report.diagnosis_json_entries import AlternativeEntry, NotTestedEntry
 from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report, repeatability_entry
 from calib.diagnosis.report.residual_figures_and_finding_contributions import (
+    closure_and_corner_residuals,
     effect_residual_figures,
-    model_residuals,
     residuals_without_effects,
 )
 from calib.diagnosis.report.rig_and_arm_outline_figures import MARKS, rig_outline_figure
@@ -139,7 +139,7 @@ def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
     _, diagnosis = diagnosed
     refined = diagnosis.selection.fit.refined
     (after, corners), (before, _) = residuals_without_effects(refined), residuals_without_effects(refined, (0,))
-    bare, _ = model_residuals(diagnosis.selection.before.refined.model)
+    bare, _ = closure_and_corner_residuals(diagnosis.selection.before.refined.model)
     rms = np.sqrt((np.stack([before, bare, after]) ** 2).mean(axis=1))[:, 2]
     assert rms[0] == pytest.approx(rms[1], rel=0.1) and rms[2] < 0.6 * rms[0]  # m, of strut 3
     assert np.sqrt((corners**2).mean()) == pytest.approx(0.03, rel=0.1)  # px

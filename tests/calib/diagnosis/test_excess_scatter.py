@@ -13,7 +13,7 @@ from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranki
     detect_excess_scatter,
 )
 from calib.diagnosis.problems.arm.arm_recording_evidence import ArmEvidence
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearised_arm_poses_and_geometry
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import ASSUMED_NOISE, RESIDUALS, STATED
 from calib.diagnosis.recording_diagnosis import diagnose_evidence
 from calib.diagnosis.report.diagnosis_page import diagnosis_verdict
@@ -77,7 +77,7 @@ def test_noise_that_nobody_states_proves_nothing(tmp_path):
     rec = stars(tmp_path / "rec", 6e-4)
     poses = Poses(rec.poses.frame, rec.poses.T_base_platform, None)
     assert sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
-    found, geometry = linearise_poses(sample_recording(rec).samples, rec.design, rec.commands)
+    found, geometry = linearised_arm_poses_and_geometry(sample_recording(rec).samples, rec.design, rec.commands)
     report = diagnosis_report(
         diagnose_evidence(ArmEvidence(lambda gone: (replace(found, assumed=True), geometry), "poses.csv"), "rec")
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.linear_model import Block, Column, FactoredColumns, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Block, Column, FactoredColumns, LinearModel
 
 F, ROWS, KNOWN = 12, 30, 4
 

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Score, score_raised_to_likelihood_ratio
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import PLATFORM, Candidate
-from calib.diagnosis.engine.cross_validation_and_chance import (
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import (
     cross_validation_folds_of_frames,
     residual_dispersion,
     scan_p_value,
@@ -19,7 +19,7 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     normal_equations_by_common_weights,
     solve_normal_equations,
 )
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Block, Column, LinearModel
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
     frames_before_and_after_sudden_changes,
 )

@@ -18,11 +18,15 @@ from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas 
     suggest_joint_formulas as arm_suggestions,
 )
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
-from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    joint_candidates_and_untested_effects,
+)
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    platform_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.problems.platform.strut_formula_suggestions import suggest_strut_formulas
 from calib.diagnosis.report.diagnosis_json_entries import FitEntry, suggested_formula_entries
@@ -220,7 +224,7 @@ def measured(tmp_path_factory, rig_text):
 
 def sought_in(recording):
     """(PlatformProblem, its Fit, what is left) of a recording with nothing admitted."""
-    problem = PlatformProblem(operating_point_of_recording(recording)[0], [])
+    problem = PlatformProblem(operating_point_source_and_measurement(recording)[0], [])
     fit = problem.start()
     return problem, fit, problem.lack_of_fit(problem.residual(fit))
 
@@ -250,7 +254,10 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
     assert main(["effects", "--new", "mine", "--from", str(tmp_path), "--out", str(tmp_path / "mine.py")]) == 0
     (kind,) = load_effect_file(tmp_path / "mine.py").kinds
     requested_problem = PlatformProblem(
-        problem.point, platform_candidates(problem.point, RequestedEffects((f"mine {effect.place}",), (), (kind,)))[0]
+        problem.point,
+        platform_candidates_and_untested_effects(
+            problem.point, RequestedEffects((f"mine {effect.place}",), (), (kind,))
+        )[0],
     )
     selection = select_terms(requested_problem)
     assert [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings] == [("mine", effect.place)]
@@ -277,7 +284,7 @@ def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     assert low < 1.3 < high < 1.05 * low
     (tmp_path / "mine.py").write_text(found.written.source("mine"))
     (kind,) = load_effect_file(tmp_path / "mine.py").kinds
-    candidates, _ = joint_candidates(arms, RequestedEffects(("mine",), (), (kind,)))
+    candidates, _ = joint_candidates_and_untested_effects(arms, RequestedEffects(("mine",), (), (kind,)))
     assert [(t.candidate.name, t.candidate.place) for t in select_terms(ArmProblem(arms, candidates)).fit.terms] == [
         ("mine", "joint 2")
     ]
@@ -370,9 +377,11 @@ def test_a_camera_may_have_an_effect_of_ones_own(tmp_path, design):
     (kind,) = load_effect_file(tmp_path / "swing.py").kinds
     place = f"camera {design.cameras[1].name}"
     recording = recorded(tmp_path / "rec", design, (kind(place, 2e-4, 0.047),), route="sobol:60")
-    point = operating_point_of_recording(recording)[0]
+    point = operating_point_source_and_measurement(recording)[0]
     selection = select_terms(
-        PlatformProblem(point, platform_candidates(point, RequestedEffects(("swing",), (), (kind,)))[0])
+        PlatformProblem(
+            point, platform_candidates_and_untested_effects(point, RequestedEffects(("swing",), (), (kind,)))[0]
+        )
     )
     (found,) = selection.findings
     effect = selection.fit.refined.point.effects[found.number]

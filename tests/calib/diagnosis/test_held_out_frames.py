@@ -5,8 +5,8 @@ rows has it.
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.cross_validation_and_chance import RIDGE, held_out_residuals
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import RIDGE, held_out_residuals
+from calib.diagnosis.engine.linear_residual_model import Block, Column, LinearModel
 
 FRAMES, NUISANCES = 12, 5
 FOLDS = {"stretches": np.repeat([0, 1, 2], 4), "scattered": np.tile([0, 1, 2], 4)}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
-from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Column, LinearModel
 from calib.diagnosis.problems.arm import arm_lack_of_fit_covariates_and_joint_formulas as arm_excess_scatter
-from calib.diagnosis.problems.arm.arm_candidate_scores import (
+from calib.diagnosis.problems.arm.arm_candidate_chi_square_scores import (
     joint_motion_normal_equations_by_frame,
     score_candidates,
     solve_candidate_at_all_nodes,
@@ -19,8 +19,14 @@ from calib.diagnosis.problems.arm.arm_candidate_scores import (
 from calib.diagnosis.problems.arm.arm_lack_of_fit_covariates_and_joint_formulas import find_lack_of_fit_by_joint
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.arm_recording_evidence import pose_repeatability
-from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Columns, Part, linearise_poses
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    joint_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
+    Columns,
+    Part,
+    linearised_arm_poses_and_geometry,
+)
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Term, fit_terms_to_poses
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.identify.bounded_and_robust_least_squares_fit import excess_scatter, robust_weights
@@ -34,7 +40,7 @@ SIGMA = 2e-5  # m, per axis
 def seen(deviation, count=200, seed=3, repeats=0):
     rng = np.random.default_rng(seed)
     samples = secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, count, rng, deviation=deviation, repeats=repeats)
-    return linearise_poses(samples, secret_arms.design(UR10))[0]
+    return linearised_arm_poses_and_geometry(samples, secret_arms.design(UR10))[0]
 
 
 def only(joint, function):
@@ -45,7 +51,9 @@ def only(joint, function):
 @pytest.fixture(scope="module")
 def searched():
     arms = seen(only(2, lambda q: 3e-4 * np.sin(7 * q[:, 2])), 150)
-    return fit_terms_to_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, RequestedEffects())[0]
+    return fit_terms_to_poses(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates_and_untested_effects(
+        arms, RequestedEffects()
+    )[0]
 
 
 @pytest.mark.slow
@@ -142,7 +150,9 @@ def test_an_effect_at_the_end_of_a_recording_is_not_taken_for_wild_poses():
     arms = seen(None, 150)
     late = np.arange(150) >= 140
     arms = replace(arms, left=arms.left + arms.joints[..., 2] * 2e-3 * late[:, None])
-    chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects(("missed_steps",)))[0])).fit
+    chosen = select_terms(
+        ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects(("missed_steps",)))[0])
+    ).fit
     assert [(t.candidate.name, t.candidate.place) for t in chosen.terms] == [("missed_steps", "joint 3")]
     assert not chosen.aside.any() and chosen.theta[chosen.slices[0]] == pytest.approx(2e-3, rel=0.05)
 
@@ -174,7 +184,7 @@ def test_repeats_tell_noise_from_what_comes_again():
 @pytest.mark.slow
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), repeats=60)
-    chosen = select_terms(ArmProblem(arms, joint_candidates(arms, RequestedEffects())[0])).fit
+    chosen = select_terms(ArmProblem(arms, joint_candidates_and_untested_effects(arms, RequestedEffects())[0])).fit
     assert chosen.terms == ()
     left = [
         *find_lack_of_fit_by_joint(chosen, 5),

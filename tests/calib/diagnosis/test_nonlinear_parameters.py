@@ -8,8 +8,10 @@ import pytest
 from calib.diagnosis.engine.forward_and_backward_term_selection import select_terms
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import term_parameter_covariance
-from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import joint_candidates
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearise_poses
+from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
+    joint_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import linearised_arm_poses_and_geometry
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from rig.effects.framework.machine_motion_and_play import play_operator
 from tests.calib import secret_arms
@@ -29,10 +31,10 @@ def lagging(q):
 
 def found(seed):
     rng = np.random.default_rng(seed)
-    arms, _ = linearise_poses(
+    arms, _ = linearised_arm_poses_and_geometry(
         secret_arms.tracked(secret_arms.secret(UR10, rng), UR10, 220, rng, deviation=lagging), secret_arms.design(UR10)
     )
-    candidates, _ = joint_candidates(arms, RequestedEffects())
+    candidates, _ = joint_candidates_and_untested_effects(arms, RequestedEffects())
     return select_terms(ArmProblem(arms, candidates)).fit
 
 

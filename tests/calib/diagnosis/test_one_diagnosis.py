@@ -19,7 +19,7 @@ from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals i
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     NO_CORNERS,
     POSES_ALONE,
-    joint_candidates,
+    joint_candidates_and_untested_effects,
 )
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Term, fit_terms_to_poses
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
@@ -28,8 +28,10 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
     row_pairs_with_same_command,
 )
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    platform_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from calib.diagnosis.recording_diagnosis import DiagnosisOptions, diagnose
 from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
@@ -72,8 +74,10 @@ def test_a_problem_has_the_capabilities_that_mean_something_for_it():
 
 def test_the_core_is_all_that_a_search_takes(tmp_path, design):
     rec = recorded(tmp_path, design, ["backlash:strut2:gap=1.2e-4"], 11, "sobol:40,ladder:1", 0.03)
-    point = operating_point_of_recording(rec)[0]
-    problem = PlatformProblem(point, platform_candidates(point, RequestedEffects(("backlash", "scale_error")))[0])
+    point = operating_point_source_and_measurement(rec)[0]
+    problem = PlatformProblem(
+        point, platform_candidates_and_untested_effects(point, RequestedEffects(("backlash", "scale_error")))[0]
+    )
     core = CoreAlone(problem)
     assert not any(isinstance(core, capability) for capability in CAPABILITIES)
     labels = []
@@ -90,11 +94,11 @@ def test_what_an_arm_cannot_be_asked_is_listed_with_why(design, cameras, reason)
     (arms, _), _ = arm_recorded(None, 60)
     own = replace(arms.context.design, cameras=design.cameras if cameras else ())
     arms = replace(arms, context=replace(arms.context, design=own))
-    candidates, not_tested = joint_candidates(arms, RequestedEffects())
+    candidates, not_tested = joint_candidates_and_untested_effects(arms, RequestedEffects())
     unseen = {kind.name for kind in ALL if kind.discrete or kind.stage in ("targets", "view")}
     assert len(unseen) >= 11 and {s.effect for s in not_tested if s.reason == reason} == unseen
     assert {c.name for c in candidates} | {s.effect for s in not_tested} == {kind.name for kind in ALL}
-    _, not_tested = joint_candidates(arms, RequestedEffects(("edge_bias",)))
+    _, not_tested = joint_candidates_and_untested_effects(arms, RequestedEffects(("edge_bias",)))
     assert [(s.effect, s.reason) for s in not_tested] == [("edge_bias", reason)]
 
 
@@ -131,7 +135,11 @@ def test_thermometers_errors_leave_an_arms_sizes_open():
     channel = "ambient_temperature_C"
     sensors = Sensors(t, {channel: 20 + 10 * np.sin(t / np.ptp(t) * 3)})
     warm = _under(arms, sensors)
-    candidate, _ = [c for c in joint_candidates(warm, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
+    candidate, _ = [
+        c
+        for c in joint_candidates_and_untested_effects(warm, RequestedEffects(("thermal_expansion",)))[0]
+        if c.place == "rig"
+    ]
     term = Term.at(candidate, candidate.grid[0])
     size = 1e-5 * np.ones(term.weights.shape[2])
     shown = warm.directions(candidate.joint) @ (term.weights @ size)[..., None]
@@ -140,7 +148,11 @@ def test_thermometers_errors_leave_an_arms_sizes_open():
     error = 0.02 * np.cos(t / np.ptp(t) * 5)[:, None]
     off = term_errors_by_temperature_logs(fit, 0, {channel: error})
     other = _under(warm, Sensors(t, {channel: sensors.channels[channel] + error[:, 0]}))
-    moved, _ = [c for c in joint_candidates(other, RequestedEffects(("thermal_expansion",)))[0] if c.place == "rig"]
+    moved, _ = [
+        c
+        for c in joint_candidates_and_untested_effects(other, RequestedEffects(("thermal_expansion",)))[0]
+        if c.place == "rig"
+    ]
     change = (fit_terms_to_poses(other, [Term.at(moved, moved.grid[0])]).theta - fit.theta)[fit.slices[0]]
     assert off.shape == (len(size), 1) and np.abs(off).max() > 0
     np.testing.assert_allclose(np.abs(off[:, 0]), np.abs(change), rtol=0.1)

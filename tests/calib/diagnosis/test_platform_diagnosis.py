@@ -10,7 +10,7 @@ import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform
-from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import scan_p_value
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform import (
     joint_refinement_of_cameras_geometry_poses_and_effects,
@@ -18,13 +18,13 @@ from calib.diagnosis.problems.platform import (
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     Sensitivities,
-    effect_parameter_directions,
-    platform_candidates,
+    effect_coordinates_and_directions,
+    platform_candidates_and_untested_effects,
 )
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, linearise
 from calib.diagnosis.problems.platform.platform_lack_of_fit_excess_scatter_and_covariates import (
     find_lack_of_fit_by_place,
@@ -50,7 +50,7 @@ LINEARISATIONS = 275  # of a whole diagnosis in which one effect is hidden, each
 @pytest.fixture(scope="module")
 def quiet(tmp_path_factory, design):
     rec = recorded(tmp_path_factory.mktemp("quiet"), design, ())
-    return operating_point_of_recording(rec)[0]
+    return operating_point_source_and_measurement(rec)[0]
 
 
 def test_without_anything_left_out_both_planes_hold_noise_alone(quiet):
@@ -69,7 +69,7 @@ def test_nothing_unknown_where_nothing_is(quiet):
 
 
 def test_sensitivities_are_what_effects_do(quiet):
-    found, _ = platform_candidates(
+    found, _ = platform_candidates_and_untested_effects(
         quiet, RequestedEffects(("compliance rig", "thermal_expansion rig", "creep strut 2", "time_offset"))
     )
     sensitivities, motion = Sensitivities(quiet), quiet.motion(())
@@ -146,7 +146,7 @@ def test_a_tilted_window_is_found_in_few_linearisations(tmp_path, design, monkey
 @pytest.mark.slow
 def test_faces_exchanged_are_named(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
-    point, _, _ = operating_point_of_recording(rec)
+    point, _, _ = operating_point_source_and_measurement(rec)
     found = marker_swap_detection_and_effect_cross_validation.find_marker_swaps(point, [k for k in ALL if k.discrete])
     assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
     left = marker_swap_detection_and_effect_cross_validation.operating_point_with_marker_swaps_corrected(point, found)
@@ -155,7 +155,7 @@ def test_faces_exchanged_are_named(tmp_path, design):
 
 def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
     rec = recorded(tmp_path, design, [])
-    point = operating_point_of_recording(rec)[0]
+    point = operating_point_source_and_measurement(rec)[0]
     lengths = point.commands.values.copy()
     lengths[:, 3] -= 3e-5 * np.cos(
         8 * (lengths[:, 0] - lengths[:, 0].mean()) / np.ptp(lengths[:, 0])
@@ -177,7 +177,7 @@ def test_errors_of_a_corner_finder_that_recur_are_no_misplaced_marker(tmp_path, 
     if marker is not None:
         own = corners.marker == marker
         uv[own] += off * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])[corners.corner[own]]
-    point = operating_point_of_recording(replace(rec, corners=replace(corners, uv=uv)))[0]
+    point = operating_point_source_and_measurement(replace(rec, corners=replace(corners, uv=uv)))[0]
     left = find_lack_of_fit_by_place(refine_operating_point(point, Sensitivities(point)).model)
     markers = [str(u.place) for u in left if u.place.kind == "marker"]
     assert markers[:1] == ([] if marker is None else [f"marker {marker}"])
@@ -187,7 +187,7 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
     effect = parse_effect("camera_drift:cam1:motion=1e-4/2e-4/0/0/1e-4/0,time_constant=500")
     point = quiet.with_effects((effect,))
     model = linearise(point)
-    coordinates, column = effect_parameter_directions(model, Sensitivities(point))
+    coordinates, column = effect_coordinates_and_directions(model, Sensitivities(point))
     at = [c.name for c in coordinates].index("time_constant")
 
     def whitened(x):
@@ -212,7 +212,7 @@ def test_tangents_of_struts_are_derivatives_of_what_all_effects_do_together(quie
     )
     point = quiet.with_effects(effects)
     model = linearise(point)
-    coordinates, column = effect_parameter_directions(model, Sensitivities(point))
+    coordinates, column = effect_coordinates_and_directions(model, Sensitivities(point))
     assert [c.name for c in coordinates] == [
         *["profile"] * 5, "stiffness", "gap", "time_constant", "scale", "curvature",
     ]  # fmt: skip

@@ -8,7 +8,7 @@ from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranki
     delta_chi2_and_rank_by_column_count,
 )
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import Normal, solve_normal_equations
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.formats.rig_toml import design_from_rig_toml
@@ -87,7 +87,7 @@ def test_a_focal_length_that_comes_and_goes_is_seen_beside_a_mount_that_stands(t
     """
     course = tuple(value for k in range(4) for value in (6.5e-6, (3 + k) / 700, 1.0 + k))
     problem = PlatformProblem(
-        operating_point_of_recording(
+        operating_point_source_and_measurement(
             recorded(tmp_path, design, [unlisted_effects_and_corner_noise.BreathingLens("camera cam1", course)])
         )[0],
         [],

@@ -7,8 +7,10 @@ import pytest
 
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import find_alternatives
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import platform_candidates
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    platform_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.platform_problem import PlatformProblem
 from rig.recording.recording_folder import load_recording
 from tests.bench.several_faults import drawn
@@ -24,8 +26,8 @@ SITES = {
 @pytest.mark.parametrize("seed", SITES)
 def test_all_that_an_exact_scan_finds_passes(tmp_path, seed):
     sites = SITES[seed]
-    point = operating_point_of_recording(load_recording(record(drawn(seed, 2)[0], tmp_path / "rec")))[0]
-    problem = PlatformProblem(point, platform_candidates(point, RequestedEffects())[0])
+    point = operating_point_source_and_measurement(load_recording(record(drawn(seed, 2)[0], tmp_path / "rec")))[0]
+    problem = PlatformProblem(point, platform_candidates_and_untested_effects(point, RequestedEffects())[0])
     fit = problem.start()
     for name, place in sites:
         own = [c for c in problem.candidates if (c.name, c.place) == (name, place)]
@@ -51,8 +53,8 @@ def test_hypotheses_that_say_the_same_explain_the_same_whichever_sizes_a_scan_tr
     """A clock is late and a strut has backlash. By the tried sizes alone the lateness explained 5 % less than a lag of
     all drives that is the same motion, and the lag's set lost the clock.
     """
-    point = operating_point_of_recording(load_recording(record(drawn(91007, 2)[0], tmp_path / "rec")))[0]
-    problem = PlatformProblem(point, platform_candidates(point, RequestedEffects())[0])
+    point = operating_point_source_and_measurement(load_recording(record(drawn(91007, 2)[0], tmp_path / "rec")))[0]
+    problem = PlatformProblem(point, platform_candidates_and_untested_effects(point, RequestedEffects())[0])
     sites = [("backlash", "strut 5"), ("time_offset", "clock"), ("servo_lag", "rig")]
     backlash, *both = [[c for c in problem.candidates if (c.name, c.place) == site] for site in sites]
     fit = problem.start()

@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 
 from calib.api.diagnose import diagnose
 from calib.diagnosis.engine.candidate_scores_and_their_significance import joint_fit_and_explained_sum_of_squares
-from calib.diagnosis.engine.linear_model import Projection
+from calib.diagnosis.engine.linear_residual_model import Projection
 from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import diagnosis_report
 from rig.recording import recording_folder
 from tests.bench.several_faults import drawn

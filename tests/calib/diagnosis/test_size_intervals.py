@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Value, value_with_interval_cut_at_bounds
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
@@ -16,7 +16,7 @@ from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_pose
     refine_at_fixed_repeated_corner_error,
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_model_and_significance import (
     tolerance_sigmas_from_residuals,
 )
@@ -37,9 +37,9 @@ FAR = 1e-3  # of its side that a marker is larger, so that where a fit stops doe
 
 
 def fitted(folder, design, printed):
-    point = operating_point_of_recording(recorded(folder, design, [SCALE, *printed], 11, ROUTE, 0.03))[0].with_effects(
-        [parse_effect(SCALE)]
-    )
+    point = operating_point_source_and_measurement(recorded(folder, design, [SCALE, *printed], 11, ROUTE, 0.03))[
+        0
+    ].with_effects([parse_effect(SCALE)])
     sensitivities = Sensitivities(point)
     return refine_operating_point(point, sensitivities), sensitivities
 

@@ -14,7 +14,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.tolerance_and_temperature_alternatives import (
     parameter_errors_by_temperature_logs,
 )
@@ -89,7 +89,7 @@ def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
         ["thermal_expansion:strut2:coefficient=6e-5", "focal_drift:camera cam1:per_kelvin=2e-4"],
         route="sobol:60,ladder:2,sobol:60",
     )
-    k = operating_point_of_recording(rec)[0].with_effects(
+    k = operating_point_source_and_measurement(rec)[0].with_effects(
         [
             parse_effect("thermal_expansion:strut2:coefficient=6e-5"),
             parse_effect("focal_drift:camera cam1:per_kelvin=2e-4"),

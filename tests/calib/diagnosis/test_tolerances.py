@@ -11,10 +11,13 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import normal_equations_by_common_weights
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    Sensitivities,
+    platform_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, linearise
-from calib.diagnosis.problems.platform.platform_candidate_scores import (
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import (
     candidate_column,
     constant_displacement_normal_equations,
     corner_displacement_normal_equations_by_frame,
@@ -76,7 +79,7 @@ def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, d
 
 
 def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
-    point = operating_point_of_recording(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
+    point = operating_point_source_and_measurement(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     assert (
@@ -94,7 +97,7 @@ def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
 def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     """The cost that is left beside tolerances is that of the best sizes under their priors."""
     scale = effect_list.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
-    point = operating_point_of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
+    point = operating_point_source_and_measurement(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     seen = model.linear.project(found.column(model))
@@ -110,7 +113,9 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
 
 @pytest.mark.slow
 def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design):
-    point = operating_point_of_recording(recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03))[0]
+    point = operating_point_source_and_measurement(
+        recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03)
+    )[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
     written, short = model.linear.project(found.column(model)), found.projected(model)
@@ -121,10 +126,14 @@ def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design)
 
 @pytest.mark.slow
 def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_them(tmp_path, design):
-    point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
+    point = operating_point_source_and_measurement(
+        recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03)
+    )[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = marker_and_thermometer_tolerance_model_and_significance.tolerance_model(model, sensitivities)
-    candidates, _ = platform_candidates(point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS))
+    candidates, _ = platform_candidates_and_untested_effects(
+        point, RequestedEffects.of(["backlash", "print_scale"], (), NO_STATED_TERMS)
+    )
     with_tolerances = marker_and_thermometer_tolerance_model_and_significance.model_with_tolerances(model, found)
     for candidate in candidates:
         alone, both = (score_candidates(m, [candidate], sensitivities)[0] for m in (model, with_tolerances))
@@ -139,11 +148,11 @@ def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_the
 
 
 def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
-    point = operating_point_of_recording(
+    point = operating_point_source_and_measurement(
         recorded(tmp_path, design, ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0"], 11, ROUTE, 0.03)
     )[0]
     model, sensitivities = linearise(point), Sensitivities(point)
-    candidates, _ = platform_candidates(
+    candidates, _ = platform_candidates_and_untested_effects(
         point, RequestedEffects.of(["face_misplacement", "edge_bias"], (), NO_STATED_TERMS)
     )
     for candidate in candidates[::7]:
@@ -165,10 +174,10 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     """A strong effect may look like tolerances at work, and is admitted before them; printed markers off by what
     printers do come first.
     """
-    point = operating_point_of_recording(
+    point = operating_point_source_and_measurement(
         recorded(tmp_path, design, [hidden or printed(design, 1e-5, 2.5e-4)], 11, ROUTE, 0.03)
     )[0]
-    candidates, _ = platform_candidates(
+    candidates, _ = platform_candidates_and_untested_effects(
         point, RequestedEffects.of(["backlash", "face_misplacement"], (), NO_STATED_TERMS)
     )
     problem = PlatformProblem(point, candidates)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.api.recording_check_combination_and_view import remove_instrument_displacement
+from calib.api.recording_check_combination_and_view import undisplaced_recording_and_displaced_places
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.model.design import Instrument
 from rig.model.pose import exp
@@ -35,7 +35,7 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
     moved = replace(
         parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform)
     )
-    assert remove_instrument_displacement(join_recordings(parts, first_recording_by_camera(parts)))[1] == []
+    assert undisplaced_recording_and_displaced_places(join_recordings(parts, first_recording_by_camera(parts)))[1] == []
     lags = replace(
         secret, effects=(parse_effect("servo_lag:rig:time_constant=0.04"),)
     )  # what one plan shows of the model is no place
@@ -49,8 +49,11 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
             noise=0.04,
         )
         turning.append(recording_folder.load_recording(tmp_path / route))
-    assert remove_instrument_displacement(join_recordings(turning, first_recording_by_camera(turning)))[1] == []
-    found, (place,) = remove_instrument_displacement(
+    assert (
+        undisplaced_recording_and_displaced_places(join_recordings(turning, first_recording_by_camera(turning)))[1]
+        == []
+    )
+    found, (place,) = undisplaced_recording_and_displaced_places(
         join_recordings([parts[0], moved], first_recording_by_camera(parts))
     )
     assert place.recording == 1 and "rec1" in place.line("rec1")

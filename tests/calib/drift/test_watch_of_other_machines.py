@@ -10,7 +10,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.correction.machine_correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.drift.choice_and_order_of_visit_configurations import choose_visit_configurations
 from calib.drift.visit_history import History, add_visit_and_judge_change, read_history, write_history
-from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification
 from calib.models.calibration_covariance_parameters import covariance_parameters, pose_scatter_covariance
 from calib.models.chain.chain_error_model_and_identification import identify_chain
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
@@ -72,7 +72,7 @@ class Watched:
         self.first = self.recording("first", self.first_route)
         samples, m = sample_recording(self.first).samples, self.design.mechanism
         if m.kind == "arm":
-            correction, found = calibrate_arm(samples, m, self.design.instrument, False)
+            correction, found = arm_correction_and_identification(samples, m, self.design.instrument, False)
         elif m.kind == "chain":
             found = identify_chain(samples, m)
             correction = Correction(m, found.chain, (None,) * len(m.axes))

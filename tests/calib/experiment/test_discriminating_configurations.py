@@ -8,7 +8,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     refine_operating_point,
 )
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.experiment.experiment_questions_and_information import (
     Hypothesis,
     PerFrame,
@@ -79,7 +79,7 @@ def test_they_are_a_part_of_a_plan(design):
 @pytest.mark.slow
 def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are_told(tmp_path, design):
     """Whether the edges of one camera's images have shifted or that camera's focal length goes with the temperature."""
-    point = operating_point_of_recording(
+    point = operating_point_source_and_measurement(
         recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20")
     )[0]
     fits = [

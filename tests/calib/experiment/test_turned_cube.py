@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.linearised_corners import SEAT_LABELS, corner_derivatives
 from rig.cli.command_line import main
 from rig.model.design import quarter_turns_of_cubes
@@ -101,7 +101,7 @@ def test_the_seat_of_a_cube_moves_its_corners_as_the_forward_model_has_it(second
         "cube P1 was put back turned by a quarter turn for two: it is target P1@2 here, with a separate pose"
         in both.lines()
     )
-    point, _, _ = operating_point_of_recording(both.recording)
+    point, _, _ = operating_point_source_and_measurement(both.recording)
     (seat,) = point.seats
     assert seat.place == "target P1@2"
     rows, n = corner_derivatives(point, point.pixels()), len(point.observed.observations)

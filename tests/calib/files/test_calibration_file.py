@@ -9,9 +9,9 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.platform_certification import certify_platform, platform_workspace_claim
 from calib.files import calibration_file
-from calib.models import machine_models
+from calib.models import machine_parameters_and_file_entries as machine_models
 from rig.errors import FileError
-from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key
+from rig.formats.json_toml_and_yaml_loading import Places, first_repeated_key_and_position
 from rig.model.mechanisms import hexapod
 from tests.calib.correction.test_machine_correction import wavy
 from tests.calib.noisy_samples import sampled, workspace
@@ -208,6 +208,6 @@ def test_places_of_a_json_text_are_those_of_its_values():
     )
     assert found[("c",)] == (2, 21) and found[()] == (None, None) and len(found) == 8
     assert (
-        first_repeated_key('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7))
-        and first_repeated_key(text) is None
+        first_repeated_key_and_position('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7))
+        and first_repeated_key_and_position(text) is None
     )

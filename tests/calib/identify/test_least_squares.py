@@ -5,7 +5,7 @@ import pytest
 
 from calib.identify.bounded_and_robust_least_squares_fit import (
     Linear,
-    bounded_least_squares_step,
+    bounded_step_and_covariance,
     fit_least_squares,
     parameter_visibility,
 )
@@ -87,5 +87,5 @@ def test_steps_that_do_not_settle_are_refused():
 
 def test_a_step_that_a_bound_and_a_sum_leave_no_room_for_is_none():
     bounds, values = np.array([[0.0, 1.0], [0.0, 1.0]]), np.array([1.0, 0.5])
-    step, _ = bounded_least_squares_step(np.array([0.3, -0.3]), np.eye(2), values, bounds, np.ones((1, 2)))
+    step, _ = bounded_step_and_covariance(np.array([0.3, -0.3]), np.eye(2), values, bounds, np.ones((1, 2)))
     assert step.tolist() == [0.0, 0.0]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification
 from calib.models.chain import chain_error_model_and_identification as chains
 from calib.models.chain.chain_error_model_and_identification import identify_chain as identify_chain
 from calib.models.platform.platform_identification import identify_platform
@@ -74,7 +74,7 @@ def fitted(samples, design, instrument):
     """
     m = design.mechanism
     if m.kind == "arm":
-        _, found = calibrate_arm(samples, m, instrument, profiles=False)
+        _, found = arm_correction_and_identification(samples, m, instrument, profiles=False)
         return found.arm, found.covariance, np.full(len(found.covariance), np.inf)
     if m.kind == "chain":
         found = identify_chain(samples, m)

@@ -9,14 +9,14 @@ import pytest
 
 from calib.api.correction_extension_over_configuration_or_pose_space import ExtendOptions, certify_correction_extension
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.platform_certification import silent_progress
+from calib.certification.platform_certification import ignore_progress
 from calib.correction.interpolation.interpolation_field_interface_samples_and_combinations import SummedPasses
 from calib.correction.machine_correction import Correction
 from calib.files import calibration_file
 from calib.models.additional_correction_pass import CorrectionPass, certify_additional_pass
 from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.chain.chain_error_model_and_identification import parameter_jacobian, parameter_tolerances
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from calib.samples.commanded_and_measured_pose_samples import Sampled, Samples
 from rig.errors import RigError
 from rig.model.mechanisms import mechanism_chain
@@ -159,7 +159,7 @@ def test_a_tracker_that_was_moved_is_no_error_of_the_machine(arm):
     design = worlds.design(UR10)
     options.refuse_unsuited(design)
     result = certify_correction_extension(
-        options, design, Sampled(samples, "poses.csv", None, None), np.random.default_rng(0), silent_progress
+        options, design, Sampled(samples, "poses.csv", None, None), np.random.default_rng(0), ignore_progress
     )
     assert (
         "pass 2" in result.base

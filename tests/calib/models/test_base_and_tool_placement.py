@@ -15,7 +15,7 @@ from calib.api.certify import certify
 from calib.api.diagnose import diagnose
 from calib.api.recording_check_combination_and_view import check_and_combine_recordings
 from calib.api.verify_and_watch import verify
-from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification
 from calib.models.arm.arm_error_model_and_instrument_observations import predicted_target_poses
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.cli import command_line
@@ -70,7 +70,7 @@ def combined(recordings):
 def geometry_error(recording, case):
     """RMS error (m, rad) of a fitted arm's poses all over its travels, the best motion of its base taken out."""
     sampled = sample_recording(recording)
-    _, found = calibrate_arm(sampled.samples, recording.design.mechanism, sampled.instrument, False)
+    _, found = arm_correction_and_identification(sampled.samples, recording.design.mechanism, sampled.instrument, False)
     rng, ranges = np.random.default_rng(1), case.owner.ranges
     q = rng.uniform(ranges[:, 0], ranges[:, 1], (200, len(ranges)))
     real, fitted = case.machine.forward(q), predicted_target_poses(q, found.arm).as_matrix()
@@ -191,7 +191,7 @@ def test_positions_alone_and_a_chain(tmp_path):
 def geometry_error_of_positions(recording, case):
     """Median distance (m) of the fitted arm's positions from the measured ones."""
     sampled = sample_recording(recording)
-    _, found = calibrate_arm(sampled.samples, recording.design.mechanism, sampled.instrument, False)
+    _, found = arm_correction_and_identification(sampled.samples, recording.design.mechanism, sampled.instrument, False)
     predicted = predicted_target_poses(sampled.samples.commanded, found.arm).translation
     return float(np.median(np.linalg.norm(predicted - sampled.samples.T_base_platform.translation, axis=1)))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.models.fewest_configurations_for_accuracy import fewest_configurations_for_accuracy
-from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.machine_parameters_and_file_entries import independent_parameter_names_units_sizes_and_jacobian
 from calib.models.platform.platform_identification import identify_platform
 from rig.errors import RigError
 from rig.formats.rig_toml import design_from_rig_toml

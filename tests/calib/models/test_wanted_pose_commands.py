@@ -15,7 +15,7 @@ from calib.correction.physical_effects_of_calibration_and_their_compensation imp
 from calib.files import calibration_file
 from calib.models.arm.arm_correction import ArmCorrection
 from calib.models.chain import chain_error_model_and_identification as chains
-from calib.models.machine_models import corrected_pose_covariance
+from calib.models.machine_parameters_and_file_entries import corrected_pose_covariance
 from rig.effects.framework.effect_checks_and_fit_coordinates import fit_coordinates_of_effects
 from rig.effects.texts.effect_text_parsing_and_user_effect_file_loading import parse_effect
 from rig.errors import FileError, RigError, Unreachable

@@ -32,19 +32,23 @@ def by_vision(limbed):
 def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
-    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(read)
+    frames, lengths = measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(read)
     samples, nominal = (
         measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
             by_vision, frames, lengths
         ),
         measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design),
     )
-    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses(samples, nominal, 1e-6)
+    T, expected = measuring_limb_calibration_slips_and_vision_agreement.held_out_limb_poses_and_expected_covariance(
+        samples, nominal, 1e-6
+    )
     found = measuring_limb_calibration_slips_and_vision_agreement.limb_agreement(
         samples.T_base_platform, T, expected, (5e-5, 3e-4)
     )
     return accepted_measuring_limbs_file.Accepted(
-        measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(samples, nominal, 1e-6)[0],
+        measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
+            samples, nominal, 1e-6
+        )[0],
         nominal,
         found,
         None,
@@ -184,11 +188,11 @@ def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(lim
     for by in (0.0, 3e-5):
         samples = measuring_limb_calibration_slips_and_vision_agreement.samples_with_limb_readings_as_commands(
             by_vision,
-            *measuring_limb_calibration_slips_and_vision_agreement.limb_readings_at_exposures(
+            *measuring_limb_calibration_slips_and_vision_agreement.frames_and_limb_readings(
                 slipped(read, limb, by, at)
             ),
         )
-        limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrate_limbs(
+        limbs, _ = measuring_limb_calibration_slips_and_vision_agreement.calibrated_limbs_and_identification(
             samples, measuring_limb_calibration_slips_and_vision_agreement.hexapod_of_six_limbs(design), 1e-6
         )
         found = measuring_limb_calibration_slips_and_vision_agreement.detect_limb_slip(samples, limbs, 1e-6)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions_and_poses_on_one_clock import (
+from calib.samples.position_confounds_and_poses_on_one_clock import (
     DIRECTION,
     LOAD,
     TIME,

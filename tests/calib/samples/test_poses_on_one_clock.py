@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.samples.commanded_and_measured_pose_samples import sample_recording
-from calib.samples.confounded_conditions_and_poses_on_one_clock import (
+from calib.samples.position_confounds_and_poses_on_one_clock import (
     estimate_clocks_from_samples,
     recording_and_poses_on_commands_clock,
 )

@@ -10,7 +10,7 @@ from calib.models.arm.arm_correction import ArmCorrection
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import (
     are_nominal_poses_out_of_corrected_reach,
     correction_that_corrects_nothing,
-    reachable_poses_and_loss,
+    reachable_poses_with_lost_mask,
 )
 from rig.errors import Unreachable
 from rig.model.design import Planar2
@@ -37,8 +37,8 @@ def test_a_strut_that_is_longer_than_it_says_loses_its_short_end_and_gains_its_l
     correction = Correction(PLANAR, Planar2(PLANAR.base_joints, STROKES, [0.03, 0.0]), (None, None))
     drawn = sobol_configurations(np.array(STROKES), 4096, 1.0)
     believed, real = (
-        reachable_poses_and_loss(correction_that_corrects_nothing(correction), correction, drawn),
-        reachable_poses_and_loss(correction, correction_that_corrects_nothing(correction), drawn),
+        reachable_poses_with_lost_mask(correction_that_corrects_nothing(correction), correction, drawn),
+        reachable_poses_with_lost_mask(correction, correction_that_corrects_nothing(correction), drawn),
     )
     np.testing.assert_array_equal(believed.out, believed.commands[:, 0] < 0.63)  # its command would be below 0.6 m
     np.testing.assert_array_equal(real.out, real.commands[:, 0] > 1.17)  # where the owner believes it longer than 1.2 m

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
-from calib.certification.platform_certification import platform_pose_covariance
+from calib.certification.platform_certification import corrected_platform_pose_covariance
 from calib.correction.machine_correction import Correction, fit_geometry_and_remainder_of_correction
 from calib.files import calibration_file
 from calib.models.arm.arm_correction import ArmCorrection
-from calib.models.machine_models import calibration_with_workspace
+from calib.models.machine_parameters_and_file_entries import calibration_with_workspace
 from calib.workspace import workspace_page
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import COLUMNS, map_workspace, workspace_rows
 from rig.errors import FileError
@@ -74,9 +74,9 @@ def test_bounds_are_the_covariance_of_the_poses_there(calibrated):
     w = calibrated.workspace
     middle = calibrated.correction.predict(calibrated.correction.nominal.strut_range.mean(axis=1)[None])
     cell = int(np.argmin(np.abs(w.centre - middle.translation).max(axis=1)))
-    stated = 2 * np.sqrt(np.trace(platform_pose_covariance(calibrated, middle)[0, :3, :3]))
+    stated = 2 * np.sqrt(np.trace(corrected_platform_pose_covariance(calibrated, middle)[0, :3, :3]))
     assert stated < w.bound[cell, 0] < 5 * stated
-    looser = map_workspace(calibrated.correction, lambda T, q: 4 * platform_pose_covariance(calibrated, T))
+    looser = map_workspace(calibrated.correction, lambda T, q: 4 * corrected_platform_pose_covariance(calibrated, T))
     np.testing.assert_allclose(looser.bound, 2 * w.bound)
 
 

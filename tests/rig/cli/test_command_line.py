@@ -248,7 +248,7 @@ def test_doctor_compiles_what_a_measurement_takes(tmp_path):
         assert done.returncode == (words[1].name == "no.toml") and not done.stdout, done.stderr
     assert {path.name.partition(".")[2].partition("-")[0] for path in cache.rglob("*.nbi")} >= {
         "fit_squares",
-        "refine_pose",
+        "refine_pose_in_place",
         "add_pose_to_estimate_in_place",
     }
 

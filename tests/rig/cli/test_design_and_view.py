@@ -105,7 +105,7 @@ def test_nets_are_true_to_scale(tmp_path):
 
     target = design.targets[0]
     (page,) = print_sheets.sheets_of_target(target, "A3")
-    figure, axes = print_sheets.blank_sheet(page.paper)
+    figure, axes = print_sheets.blank_sheet_figure_and_axes(page.paper)
     figure.set_dpi(254)  # 10 px to the millimetre
     FigureCanvasAgg(figure)
     print_sheets.draw_sheet(axes, page)

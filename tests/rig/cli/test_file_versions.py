@@ -22,9 +22,9 @@ from calib.files import calibration_file
 from calib.online import accepted_measuring_limbs_file, information_filter_state_steps_and_json_file
 from calib.online import forgetting_least_squares_kalman_and_gradient_learners as learners
 from rig.cli.command_line import main
-from rig.effects.texts.effect_file_from_formula import load_suggested_formula
+from rig.effects.texts.effect_file_from_formula import load_place_and_suggested_formula
 from rig.errors import FileError
-from rig.formats.importers import import_recipe
+from rig.formats.importers import foreign_file_import_recipe as import_recipe
 from rig.formats.local_and_remote_input_files import NAMED
 from rig.formats.output_files import MANIFEST
 from rig.formats.output_files.staged_folder_and_manifest import load_manifest
@@ -71,7 +71,7 @@ def held(path: Path) -> None:
 def suggesting(path: Path) -> None:
     """A diagnosis that suggests a formula."""
     path.rename(path.parent / "diagnosis.json")
-    load_suggested_formula(path.parent, None)
+    load_place_and_suggested_formula(path.parent, None)
 
 
 def refuted(path: Path) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.samples.confounded_conditions_and_poses_on_one_clock import confounds_of_experimental_design
 from calib.samples.exposure_conditions import approach_direction
+from calib.samples.position_confounds_and_poses_on_one_clock import confounds_of_experimental_design
 from rig.cli.command_line import main
 from rig.formats.csv_and_parquet_tables_and_time_origin import read_csv_table
 from rig.formats.rig_toml.design_from_rig_toml import load_design

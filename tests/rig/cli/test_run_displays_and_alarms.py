@@ -33,9 +33,9 @@ from rig.model.pose import exp
 from rig.planning.configuration_generators import sobol_configurations
 from rig.planning.layout import hexapod_layout_and_camera_placement
 from rig.planning.recording_plan import build_plan
-from tests.vision.reading.test_live_run_camera_and_marker_alarms import sight
+from tests.vision.reading.test_moved_camera_and_covered_marker_alarms import sight
 from vision.reading.live_measurement_and_corner_refit import Live, sight_from_measuring_limbs
-from vision.reading.parallel_image_map_marker_images_and_white_level import render_marker_images
+from vision.reading.parallel_image_map_rendered_markers_and_white_level import render_marker_images
 
 
 class Measured:

@@ -14,7 +14,7 @@ import pytest
 from rig.cli.command_line import main
 from rig.cli.command_parser_execution_and_exit_status import command_line_parser
 from rig.cli.urgent_stop_before_slow_imports import (
-    begin_urgent_stop_of_command_words,
+    begin_urgent_stop_or_return_error,
     real_time_priority,
     rig_toml_and_port_in_stop_words,
 )
@@ -117,7 +117,7 @@ def test_words_that_are_understood_at_once_are_understood_alike_by_the_parser(te
 def test_other_words_are_left_to_the_parser_and_nothing_is_done(text):
     assert (
         rig_toml_and_port_in_stop_words(text.split()) is None
-        and begin_urgent_stop_of_command_words(text.split()) is None
+        and begin_urgent_stop_or_return_error(text.split()) is None
     )
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.certification.claim_verification import Part, Verification
+from calib.drift.drift_visits_page import Visit, last_visit_verdict
 from calib.drift.machine_change_hypotheses_verdict_and_sentences import ALARM, SOMETHING, Suspect, Verdict
-from calib.drift.visits_page import Visit, last_visit_verdict
 from calib.files import calibration_file
 from rig.cli.command_line import main
 from rig.formats import csv_and_parquet_tables_and_time_origin

@@ -10,7 +10,7 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.correction.machine_correction import Correction
 from calib.files import calibration_file
-from calib.models.machine_models import calibration_with_workspace
+from calib.models.machine_parameters_and_file_entries import calibration_with_workspace
 from calib.models.platform.platform_identification import identify_platform
 from calib.workspace.workspace_cell_map_with_margins_and_lost_poses import are_nominal_poses_out_of_corrected_reach
 from rig.cli.command_line import main

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import RequestedEffects
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities, platform_candidates
-from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_of_recording
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    Sensitivities,
+    platform_candidates_and_untested_effects,
+)
+from calib.diagnosis.problems.platform.linearisation_operating_point import operating_point_source_and_measurement
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import linearise
-from calib.diagnosis.problems.platform.platform_candidate_scores import score_candidates
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import score_candidates
 from rig.compute import parallel_map_and_dask_cluster
 from rig.compute.worker_processes import MOST, split_into_decreasing_parts
 from tests.calib.recordings_with_effects import recorded
@@ -58,9 +61,9 @@ def test_what_a_process_raises_is_raised_here(processes):
 
 @pytest.mark.slow
 def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
-    point = operating_point_of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
+    point = operating_point_source_and_measurement(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
     requested = RequestedEffects(("backlash", "camera_drift", "vibration", "face_misplacement"))
-    model, (candidates, _) = linearise(point), platform_candidates(point, requested)
+    model, (candidates, _) = linearise(point), platform_candidates_and_untested_effects(point, requested)
     both = []
     for count in (1, 3):
         monkeypatch.setattr(parallel_map_and_dask_cluster, "worker_count", lambda count=count: count)

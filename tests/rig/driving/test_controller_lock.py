@@ -40,9 +40,9 @@ HOLD = (
 )
 STOP = (
     "import sys\nfrom rig.driving.driving_clock import SystemClock\nfrom rig.errors import RigError\n"
-    "from rig.driving.controller_lock_and_stop_of_its_holder import ask_lock_holder_to_end, await_end_of_lock_holder\n"
+    "from rig.driving.controller_lock_and_stop_of_its_holder import ask_lock_holder_to_end, await_or_kill_lock_holder\n"
     "try:\n    holder = ask_lock_holder_to_end(sys.argv[1])\n"
-    "    await_end_of_lock_holder(holder, sys.argv[1], SystemClock(), 5.0)\n"
+    "    await_or_kill_lock_holder(holder, sys.argv[1], SystemClock(), 5.0)\n"
     "    print(holder.pid, flush=True)\nexcept RigError as error:\n    print(error, flush=True)\n"
 )
 ENVIRONMENTS = (

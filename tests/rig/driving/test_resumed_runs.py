@@ -127,7 +127,7 @@ def test_a_resumed_run_keeps_its_exposures(made, tmp_path, monkeypatch):
     chosen = iter([0.0123, 0.0086])
     monkeypatch.setattr(
         run_options_cameras_sensors_and_observer,
-        "set_exposure_for_markers",
+        "set_marker_exposure_and_measure_white",
         lambda source, level, start: (source.set_exposure(next(chosen)), 200.0),
     )
     out, notices = tmp_path / "rec", []

@@ -15,7 +15,7 @@ from rig.model.mechanisms import hexapod
 from rig.model.mechanisms.hexapod import cardan_twist_angles_about_struts
 from rig.model.pose import exp, pose, pose_difference
 from rig.recording.recording_folder import Commands, Sensors
-from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_facing_cameras_anywhere
 
 
 def moved(design, values, t, effect, sensors=None):
@@ -239,7 +239,7 @@ def looking(design):
         effects = [parse_effect(text)] if text else []
         state = State(rig.cameras, RigidTransform.concatenate([design.mechanism.home] * len(t)), {})
         sensors = Sensors(np.array([-1e9, 1e9]), {name: np.full(2, value) for name, value in channels.items()})
-        found = sightings_of_markers_facing_cameras(state, marker_map(rig))
+        found = sightings_facing_cameras_anywhere(state, marker_map(rig))
         return predict_sightings(found, state, marker_map(rig), np.array(t), effects, sensors)[::2] - [639.5, 511.5]
 
     np.testing.assert_allclose(look()[0], [[-50, -50], [50, -50], [50, 50], [-50, 50]], atol=1e-9)
@@ -317,7 +317,7 @@ def test_rolling_shutter_by_hand(setting):
     markers = marker_map(design)
     run = motion_simulation.simulate_machine_run(design, commands, t, rates=True)
     state = State(design.cameras, run.T_base_platform, {})
-    found = sightings_of_markers_facing_cameras(state, markers)
+    found = sightings_facing_cameras_anywhere(state, markers)
     uv = predict_sightings(found, state, markers, t, [effect], None, run)
     k = np.flatnonzero(markers.on_platform[found.marker])[::29]
     late = 2e-5 * (uv[k, 0, 1] - 512)

@@ -16,7 +16,7 @@ from rig.model.mechanisms import arm_kinematics_limits_and_loads as kinematics
 from rig.model.pose import pose_difference
 from rig.recording.recording_folder import Commands
 from tests.rig.arms import UR10
-from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_of_markers_facing_cameras
+from vision.marker_corner_prediction import State, marker_map, predict_sightings, sightings_facing_cameras_anywhere
 
 PLACES = {
     "axis": "strut 3",
@@ -90,7 +90,7 @@ def corners(setting, effects):
     """All corners that face a camera, through machine and cameras with the effects."""
     design, commands, t, sensors = setting
     clean = motion_simulation.simulate_machine_run(design, commands, t)
-    found = sightings_of_markers_facing_cameras(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
+    found = sightings_facing_cameras_anywhere(State(design.cameras, clean.T_base_platform, {}), marker_map(design))
     run = motion_simulation.simulate_machine_run(design, commands, t, effects, sensors, rates=True)
     return predict_sightings(
         found, State(design.cameras, run.T_base_platform, {}), marker_map(design), t, effects, sensors, run

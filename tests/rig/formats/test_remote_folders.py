@@ -60,8 +60,10 @@ def test_images_are_fetched_one_by_one_when_they_are_read(upload, monkeypatch):
     )
     found = recording.load_recording(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]
-    image = exposures_and_image_files.read_image(found.folder / found.exposures.image[4])
-    assert np.array_equal(image, exposures_and_image_files.read_image(BENCH / "check" / found.exposures.image[4]))
+    image = exposures_and_image_files.read_grey_or_colour_image(found.folder / found.exposures.image[4])
+    assert np.array_equal(
+        image, exposures_and_image_files.read_grey_or_colour_image(BENCH / "check" / found.exposures.image[4])
+    )
     assert [name for name in fetched if name.endswith(".png")] == [found.exposures.image[4].rsplit("/", 1)[1]]
 
 
@@ -77,7 +79,7 @@ def test_images_that_are_missing_empty_or_cut_off_are_named(upload, capsys, tmp_
     assert raised.value.path == f"memory://bucket/rec/{names[0]}" and "is an empty file" in str(raised.value)
     assert "cut off" not in str(raised.value)  # which is seen when it is fetched
     with pytest.raises(FileError, match="is cut off"):
-        exposures_and_image_files.read_image(recording.Path(f"{address}/{names[2]}"))
+        exposures_and_image_files.read_grey_or_colour_image(recording.Path(f"{address}/{names[2]}"))
     left = recording.load_recording(address, skip_unreadable=True)
     assert [image.problem.split(" ")[:2] for image in left.skipped] == [["no", "such"], ["is", "an"], ["is", "cut"]]
 

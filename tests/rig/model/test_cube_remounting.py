@@ -10,7 +10,7 @@ import pytest
 from rig.errors import FileError, RigError
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.model.design import quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import design_with_turned_cubes, rig_toml_with_turns
+from rig.model.design_contradictions_and_cube_quarter_turns import design_with_turned_cubes, rig_toml_with_turns
 from rig.planning.recording_plan import build_plan
 from rig.planning.timed_plan_and_visiting_order import write_plan_table
 from rig.recording import combined_recordings

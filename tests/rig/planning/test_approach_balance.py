@@ -5,8 +5,8 @@ count, same from run to run.
 import numpy as np
 import pytest
 
-from calib.samples.confounded_conditions_and_poses_on_one_clock import Confounds, confounds_of_experimental_design
 from calib.samples.exposure_conditions import approach_direction
+from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confounds_of_experimental_design
 from rig.model import mechanisms
 from rig.model.design import Design
 from rig.planning import configuration_generators

@@ -13,7 +13,7 @@ from rig.model.design import Camera
 from rig.model.pose import pose
 from rig.recording import exposures_and_image_files
 from rig.recording import recording_folder as recording
-from rig.recording.exposures_and_image_files import read_image
+from rig.recording.exposures_and_image_files import read_grey_or_colour_image
 
 CAMERA = Camera("cam0", 64, 48, np.diag([50.0, 50.0, 1.0]), np.zeros(5), pose([0, 0, 0], [0, 0, 0]))
 PICTURE = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
@@ -53,7 +53,7 @@ def test_what_an_image_claims_is_looked_at_first(tmp_path, name, data, says):
     path.write_bytes(data)
     assert says in exposures_and_image_files.image_file_problem(path)
     with pytest.raises(FileError, match=says):
-        read_image(path)
+        read_grey_or_colour_image(path)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from vision.bundle.corner_jacobians_normal_equations_and_schur_complement import
 )
 from vision.corner_observations_and_merging import (
     correlations_of_whitened_marker_corners,
-    merge_repeated_corners,
+    merged_corners_and_lost_squares,
     whitener_of_observations,
 )
 from vision.marker_corner_prediction import State
@@ -35,7 +35,7 @@ def setting(design):
 
 def test_cost_and_normal_equations_are_the_same(setting):
     observations, state = setting
-    few, spare = merge_repeated_corners(observations, state)
+    few, spare = merged_corners_and_lost_squares(observations, state)
     assert len(few) < 0.8 * len(observations) and (~few.on_platform).sum() * 4 < (~observations.on_platform).sum()
     u, estimate = adjustment_unknowns_and_start_estimate(observations, state, state, ("poses", "lenses"))
     both = []
@@ -58,7 +58,7 @@ def test_cost_and_normal_equations_are_the_same(setting):
 def test_an_adjustment_is_the_same(setting, monkeypatch):
     observations, state = setting
     quick = adjusting.adjust_bundle(observations, state)
-    monkeypatch.setattr(adjusting, "merge_repeated_corners", lambda observations, state: (observations, 0.0))
+    monkeypatch.setattr(adjusting, "merged_corners_and_lost_squares", lambda observations, state: (observations, 0.0))
     slow = adjusting.adjust_bundle(observations, state)
     assert quick.cost == pytest.approx(slow.cost, rel=1e-11) and quick.dof == pytest.approx(slow.dof, rel=1e-9)
     np.testing.assert_allclose(quick.state.platform.as_matrix(), slow.state.platform.as_matrix(), atol=1e-10)
@@ -75,8 +75,8 @@ def test_what_hangs_together_and_what_moves_stays_as_it_is(setting):
             : len(observations)
         ],
     )
-    assert merge_repeated_corners(tied, state) == (tied, 0.0)
+    assert merged_corners_and_lost_squares(tied, state) == (tied, 0.0)
     moving = replace(state, moving={0: state.platform})
-    few, _ = merge_repeated_corners(observations, moving)
+    few, _ = merged_corners_and_lost_squares(observations, moving)
     for camera, same in ((0, True), (1, False)):
         assert ((few.camera == camera).sum() == (observations.camera == camera).sum()) == same

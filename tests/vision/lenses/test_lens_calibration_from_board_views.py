@@ -17,7 +17,7 @@ from vision.lenses.lens_calibration_from_board_views import (
     choose_simplest_adequate_lens_model,
     cross_validate_lens,
     observations_from_board_views,
-    projection_uncertainty,
+    projection_pixels_and_uncertainty,
 )
 
 BOARD = parse_board("charuco:8x9:0.03:0.02:DICT_6X6_250")
@@ -91,11 +91,11 @@ def test_uncertainty_of_projection_holds_and_grows_where_nothing_was_seen():
         calibrate_lens(observations_from_board_views(views(seed, 6), BOARD), TRUE.width, TRUE.height, 5)
         for seed in range(30)
     ]
-    sigmas = np.array([projection_uncertainty(fit, 128)[1] for fit in fits])
+    sigmas = np.array([projection_pixels_and_uncertainty(fit, 128)[1] for fit in fits])
     assert (sigmas[:, 4, 5] < sigmas[:, 0, 0]).all()
     errors = []
     for fit in fits:  # the error of projection less the small turn that undoes most of it
-        uv, _ = projection_uncertainty(fit, 128)
+        uv, _ = projection_pixels_and_uncertainty(fit, 128)
         ideal = lens.undistort(uv, TRUE.matrix, TRUE.distortion)
         points = np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=-1)
         shift = lens.project(points, fit.camera.matrix, fit.camera.distortion) - uv

@@ -5,8 +5,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from vision.pose.pose_refinement_and_choice_by_neighbour_frames import (
     choose_poses_by_neighbours,
+    neighbour_pose_and_turn_bound,
     neighbour_rotation_scatter,
-    pose_from_neighbours,
     rotation_angle_between_poses,
     rotation_outlier_reasons_by_frame,
 )
@@ -63,8 +63,8 @@ def test_frames_far_apart_in_time_say_nothing():
     late = t.copy()
     late[30:] += 60
     assert (
-        pose_from_neighbours({29: found[29]}, 30, late, reach)[0] is None
-        and pose_from_neighbours({29: found[29]}, 30, t, reach)[0] is not None
+        neighbour_pose_and_turn_bound({29: found[29]}, 30, late, reach)[0] is None
+        and neighbour_pose_and_turn_bound({29: found[29]}, 30, t, reach)[0] is not None
     )
     assert neighbour_rotation_scatter(found, t * 100) is None
 

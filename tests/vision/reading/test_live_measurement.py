@@ -22,7 +22,7 @@ from synthetic.emulated_camera_images_sensors_and_server_process import Emulated
 from synthetic.image_simulation import Images
 from tests.vision import camera_on_platform
 from vision.reading import live_measurement_and_corner_refit as module
-from vision.reading.corner_reading_from_recording_images import read_image
+from vision.reading.corner_reading_from_recording_images import read_grey_or_colour_image
 from vision.reading.live_measurement_and_corner_refit import TAUGHT, Live
 
 ALL = "tests/data/bench/fit"
@@ -35,7 +35,7 @@ def frames():
     e = read.exposures
     return read.design, [
         {
-            camera: read_image(read.folder / image)
+            camera: read_grey_or_colour_image(read.folder / image)
             for f, camera, image in zip(e.frame.tolist(), e.camera, e.image)
             if f == frame
         }

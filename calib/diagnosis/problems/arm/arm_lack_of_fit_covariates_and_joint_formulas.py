@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM
-from calib.diagnosis.engine.cross_validation_and_chance import (
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import (
     FOLDS,
     STRETCHES,
     Z95,
@@ -30,7 +30,7 @@ from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranki
     test_lack_of_fit,
 )
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import Reduced
-from calib.diagnosis.problems.arm.arm_candidate_scores import joint_motion_normal_equations_by_frame
+from calib.diagnosis.problems.arm.arm_candidate_chi_square_scores import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
     has_continuous_parameters,
     term_parameter_covariance,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM, SelectionPolicy, StatedTerms
-from calib.diagnosis.engine.cross_validation_and_chance import (
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import (
     FOLDS,
     STRETCHES,
     CrossValidation,
@@ -24,11 +24,11 @@ from calib.diagnosis.engine.forward_and_backward_term_selection import (
     select_and_fit_terms_without_alternatives,
 )
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
-from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Progress, Wald
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import labelled_progress
 from calib.diagnosis.problems.arm import arm_lack_of_fit_covariates_and_joint_formulas as remainder
-from calib.diagnosis.problems.arm.arm_candidate_scores import (
+from calib.diagnosis.problems.arm.arm_candidate_chi_square_scores import (
     candidate_column_at_scanned_parameters,
     candidate_with_grid_nodes,
     score_candidates,

@@ -19,7 +19,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     Outliers,
     StatedTerms,
 )
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
@@ -44,9 +44,13 @@ from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_in
     JointCandidate,
     findings_of_effects_fitted_before_search,
     fit_of_effects_shown_by_instruments,
-    joint_candidates,
+    joint_candidates_and_untested_effects,
 )
-from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms, Geometry, linearise_poses
+from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import (
+    Arms,
+    Geometry,
+    linearised_arm_poses_and_geometry,
+)
 from calib.diagnosis.problems.arm.robust_fit_of_effect_terms_to_arm_poses import Fit, term_columns
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
     Repeats,
@@ -195,7 +199,7 @@ class ArmEvidence(FieldSummaryRepr):
 
     def problem(self, outliers: Outliers) -> tuple[ArmProblem, list[NotTested]]:
         arms, geometry = self.linear(outliers.frames)
-        candidates, not_tested = joint_candidates(arms, self.requested)
+        candidates, not_tested = joint_candidates_and_untested_effects(arms, self.requested)
         given = require_assumed_effects_testable(self.given, candidates, not_tested)
         return ArmProblem(arms, candidates, given=given, geometry=geometry), not_tested
 
@@ -340,7 +344,7 @@ def arm_evidence(
     @lru_cache(maxsize=2)
     def linear(gone: frozenset[int]) -> tuple[Arms, Geometry]:
         some = known.samples.take(~np.isin(known.samples.frame, sorted(gone))) if gone else known.samples
-        arms, found = linearise_poses(some, design, recording.commands, sensors, refuse_few=not gone)
+        arms, found = linearised_arm_poses_and_geometry(some, design, recording.commands, sensors, refuse_few=not gone)
         return replace(arms, assumed=known.assumed, sight=sight), found
 
     stated = known.measurement is None and not known.assumed

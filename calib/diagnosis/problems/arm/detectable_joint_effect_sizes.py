@@ -7,12 +7,12 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
-from calib.diagnosis.engine.cross_validation_and_chance import Dispersion, residual_dispersion
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Dispersion, residual_dispersion
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     normal_equations_by_direction_weights,
 )
-from calib.diagnosis.problems.arm.arm_candidate_scores import joint_motion_normal_equations_by_frame
+from calib.diagnosis.problems.arm.arm_candidate_chi_square_scores import joint_motion_normal_equations_by_frame
 from calib.diagnosis.problems.arm.arm_problem import ArmProblem
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import axis_unit
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (

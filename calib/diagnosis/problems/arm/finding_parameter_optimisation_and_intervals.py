@@ -16,13 +16,13 @@ import scipy
 from scipy.linalg import cho_solve
 
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
-from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     normal_equations_by_direction_weights,
     solve_with_prior,
 )
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
-from calib.diagnosis.problems.arm.arm_candidate_scores import (
+from calib.diagnosis.problems.arm.arm_candidate_chi_square_scores import (
     joint_motion_normal_equations_by_frame,
     solve_candidate_at_nodes,
 )

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Candidate, Node, NotTested
-from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import (
     minimum_pose_count,
@@ -107,10 +107,10 @@ class JointCandidate(Candidate):
 JointScore = Score[JointCandidate]
 
 
-def joint_candidates(arms: Arms, requested_effects: RequestedEffects) -> tuple[list[JointCandidate], list[NotTested]]:
-    """Joint candidates of the requested effects on an arm's poses.
-
-    Also what the recording cannot test.
+def joint_candidates_and_untested_effects(
+    arms: Arms, requested_effects: RequestedEffects
+) -> tuple[list[JointCandidate], list[NotTested]]:
+    """Joint candidates of the requested effects on an arm's poses, and effects that it cannot test.
 
     A candidate of more parameters than `most_parameters_of_candidate` is not requested, and that is stated.
     Raises RigError for a place where what is asked for cannot sit.

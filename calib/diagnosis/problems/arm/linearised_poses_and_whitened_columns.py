@@ -19,7 +19,7 @@ from calib.correction.physical_effects_of_calibration_and_their_compensation imp
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import require_enough_poses
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import row_pairs_with_same_command
 from calib.models.arm import arm_error_model_and_instrument_observations
-from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification
 from calib.models.arm.arm_error_model_and_instrument_observations import (
     KINDS,
     observation_jacobian,
@@ -147,7 +147,7 @@ def _kind_of_rows(k: int) -> str:
     return next(name for name in ("pose", "position", "direction") if KINDS[name] == k)
 
 
-def linearise_poses(
+def linearised_arm_poses_and_geometry(
     samples: Samples,
     design: Design,
     commands: Commands | None = None,
@@ -243,7 +243,9 @@ Linear = tuple[Geometry, Floats, Floats, Floats, Floats]  # with what is left, f
 
 def _of_arm(samples: Samples, design: Design) -> Linear:
     """Linear about an arm: its independent parameters are the freedoms."""
-    _, found = calibrate_arm(samples, require_arm(design.mechanism), design.instrument, profiles=False)
+    _, found = arm_correction_and_identification(
+        samples, require_arm(design.mechanism), design.instrument, profiles=False
+    )
     observations, free = observations_of_samples(samples), found.free
     return (
         Geometry(

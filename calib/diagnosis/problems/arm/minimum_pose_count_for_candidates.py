@@ -5,9 +5,9 @@ It is of an arm or a chain; also how many numbers so many poses bear.
 
 import numpy as np
 
-from calib.diagnosis.engine.cross_validation_and_chance import FOLDS, STRETCHES, time_stretch_folds
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import FOLDS, STRETCHES, time_stretch_folds
 from calib.models.arm.arm_identification_and_joint_profiles import independent_arm_parameter_mask
-from calib.models.machine_models import independent_parameter_names_units_sizes_and_jacobian
+from calib.models.machine_parameters_and_file_entries import independent_parameter_names_units_sizes_and_jacobian
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.errors import NotEnoughData
 from rig.model.design import Design

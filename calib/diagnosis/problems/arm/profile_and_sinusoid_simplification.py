@@ -10,7 +10,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     SelectionPolicy,
     StatedTerms,
 )
-from calib.diagnosis.problems.arm.arm_candidate_scores import score_candidates
+from calib.diagnosis.problems.arm.arm_candidate_chi_square_scores import score_candidates
 from calib.diagnosis.problems.arm.finding_parameter_optimisation_and_intervals import (
     has_continuous_parameters,
     optimise_nonlinear_parameters,

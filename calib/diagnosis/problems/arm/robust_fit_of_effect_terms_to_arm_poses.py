@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
-from calib.diagnosis.engine.linear_model import Block, Column, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Block, Column, LinearModel
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     JointCandidate,
     JointScore,

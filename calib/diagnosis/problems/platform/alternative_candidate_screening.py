@@ -19,7 +19,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 )
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import Refinement
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
-from calib.diagnosis.problems.platform.platform_candidate_scores import (
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import (
     axis_elongation_inner_products,
     solver_and_normal_equations_of_axis_candidate,
 )

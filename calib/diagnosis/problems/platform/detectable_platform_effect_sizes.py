@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Threshold
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
-from calib.diagnosis.engine.cross_validation_and_chance import Dispersion, residual_dispersion
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Dispersion, residual_dispersion
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     Normal,
@@ -26,7 +26,7 @@ from calib.diagnosis.problems.detectable_effect_sizes import (
     smallest_detectable_size_by_place,
 )
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, Reach
-from calib.diagnosis.problems.platform.platform_candidate_scores import (
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import (
     axis_elongation_inner_products,
     camera_mount_motion_share_by_frame,
     camera_mount_pixel_derivatives,

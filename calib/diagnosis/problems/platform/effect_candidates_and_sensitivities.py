@@ -20,7 +20,7 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     Role,
     UsualRange,
 )
-from calib.diagnosis.engine.linear_model import Column, join_columns
+from calib.diagnosis.engine.linear_residual_model import Column, join_columns
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import EffectSites, RequestedEffects
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel
@@ -100,13 +100,10 @@ def is_image_only_effect(kind: type[Effect] | Effect) -> bool:
     return kind.stage in ("targets", "view")
 
 
-def platform_candidates(
+def platform_candidates_and_untested_effects(
     point: OperatingPoint, requested_effects: RequestedEffects
 ) -> tuple[list[PlatformCandidate], list[NotTested]]:
-    """Platform candidates of the requested effects.
-
-    At an OperatingPoint; also what the recording cannot test.
-    """
+    """Platform candidates of the requested effects at an OperatingPoint, and effects that it cannot test."""
     context = effect_context(point)
 
     def sites_of(kind: type[Effect]) -> EffectSites:
@@ -342,10 +339,10 @@ class Sensitivities:
         return hit, quads[at[seen.row[hit]], seen.observations.corner[hit]]
 
 
-def effect_parameter_directions(
+def effect_coordinates_and_directions(
     model: LinearisedModel, sensitivities: Sensitivities
 ) -> tuple[list[Coordinate], Column | None]:
-    """Directions of the admitted effects' continuous parameters in the residuals.
+    """Coordinates of the admitted effects' continuous parameters, and their directions in the residuals.
 
     Returns (coordinates, Column)
     """

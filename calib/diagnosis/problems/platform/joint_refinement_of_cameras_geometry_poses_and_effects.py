@@ -12,14 +12,14 @@ from typing import cast
 import numpy as np
 from scipy.linalg import block_diag
 
-from calib.diagnosis.engine.cross_validation_and_chance import Z95, Interval
-from calib.diagnosis.engine.linear_model import Column, join_columns
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95, Interval
+from calib.diagnosis.engine.linear_residual_model import Column, join_columns
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     SIZED,
     PlatformScore,
     Sensitivities,
     coefficient_bounds,
-    effect_parameter_directions,
+    effect_coordinates_and_directions,
 )
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
@@ -27,10 +27,10 @@ from calib.diagnosis.problems.platform.linearised_corners import CLIP, repeated_
 from calib.diagnosis.problems.platform.operating_point_steps_and_costs import (
     cost_without_relinearisation,
     likelihood_cost,
-    operating_point_after_step,
+    operating_point_and_nuisance_moves_after_step,
 )
-from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column
-from calib.identify.bounded_and_robust_least_squares_fit import bounded_least_squares_step
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import candidate_column
+from calib.identify.bounded_and_robust_least_squares_fit import bounded_step_and_covariance
 from rig.array_and_json_types import Floats, Integers
 from rig.effects.framework.effect_base_class import Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import (
@@ -220,7 +220,7 @@ def add_term(refinement: Refinement, score: PlatformScore, sensitivities: Sensit
         except ValueError as error:  # as sums of several members may be: a smaller share of the step is within bounds
             beyond = str(error)
             continue
-        found = operating_point_after_step(model, step, parts, [*known, added], share)
+        found = operating_point_and_nuisance_moves_after_step(model, step, parts, [*known, added], share)
         if not len(theta) or cost_without_relinearisation(model, *found) <= likelihood_cost(model):
             break
     if found is None:
@@ -243,7 +243,7 @@ def operating_point_without_term(refinement: Refinement, number: int) -> Operati
             for c, v in zip(refinement.coordinates, refinement.values)
         ]
     )
-    return operating_point_after_step(model, step, refinement.column, others)[0]
+    return operating_point_and_nuisance_moves_after_step(model, step, refinement.column, others)[0]
 
 
 def refine_operating_point(
@@ -285,7 +285,7 @@ def refine_at_fixed_repeated_corner_error(
     model, far = linearise(point, CLIP, nearby_model), True
     for _ in range(MAX_ITERATIONS):
         model = _model_with_fitting_clip(model) if far else model
-        coordinates, column = effect_parameter_directions(model, sensitivities)
+        coordinates, column = effect_coordinates_and_directions(model, sensitivities)
         freedom = partial(_Freedom.of, coordinates)
         step, covariance = (
             (np.zeros(0), np.zeros((0, 0))) if column is None else _step(model, freedom(point.effects, column))
@@ -310,7 +310,7 @@ def refine_at_fixed_repeated_corner_error(
 def refinement_without_moving(model: LinearisedModel, sensitivities: Sensitivities) -> Refinement:
     """Refinement of a model's operating point with nothing moved: its optimum only where it was refined before."""
     point = model.point
-    coordinates, column = effect_parameter_directions(model, sensitivities)
+    coordinates, column = effect_coordinates_and_directions(model, sensitivities)
     if column is None:
         return Refinement(point, model, coordinates, np.zeros(0), np.zeros((0, 0)), None)
     last = _Freedom.of(coordinates, point.effects, column)
@@ -331,7 +331,7 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[Floats, Floats]:
     """Step (c,) of coordinates, to a bound at most, and their covariance (c, c), of which bounds know nothing."""
     found = model.linear.project(free.column)
     b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
-    return bounded_least_squares_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.conserved)
+    return bounded_step_and_covariance(b, G, free.values, np.stack([free.low, free.high], axis=1), free.conserved)
 
 
 def _try(
@@ -344,7 +344,9 @@ def _try(
         effects = effects_with_coordinates(k.effects, coordinates, values + share * step[: len(values)])
         if effects is None:
             continue
-        point, nuisances = operating_point_after_step(model, cast(Floats, step), column, effects, share)
+        point, nuisances = operating_point_and_nuisance_moves_after_step(
+            model, cast(Floats, step), column, effects, share
+        )
         gained = before - cost_without_relinearisation(model, point, nuisances)
         if gained >= -SLACK:
             return point, gained

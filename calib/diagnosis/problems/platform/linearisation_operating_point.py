@@ -209,16 +209,14 @@ class OperatingPoint(FieldSummaryRepr):
         return replace(self, effects=tuple(effects))
 
 
-def operating_point_of_recording(
+def operating_point_source_and_measurement(
     recording: Recording,
     progress: Progress | None = None,
     calibration: Calibration | None = None,
     places: str = "auto",
     sampled: Sampled | None = None,
 ) -> tuple[OperatingPoint, str, Measurement | None]:
-    """OperatingPoint of a recording, calibrated, with no effects admitted.
-
-    Also its source in words, and its Measurement.
+    """OperatingPoint of a recording, calibrated, without effects, its source in words, and its Measurement.
 
     All corners are back in; the Measurement may be None.
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None

@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnosis.engine.linear_model import Block, Column, FactoredColumns, LinearModel, orthonormal_combinations
+from calib.diagnosis.engine.linear_residual_model import (
+    Block,
+    Column,
+    FactoredColumns,
+    LinearModel,
+    orthonormal_combinations,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corners import (
     CLIP,
@@ -20,9 +26,9 @@ from calib.diagnosis.problems.platform.linearised_corners import (
     CornerDerivatives,
     CornerFrames,
     camera_edge_bias_nuisances,
+    coordinates_and_rest_in_frame_bases,
     corner_derivatives,
     remounted_cube_pose_nuisances,
-    split_rows_by_frame_bases,
 )
 from calib.models.platform.platform_identification import PRIOR
 from calib.models.platform.strut_loop_closure_equations import (
@@ -116,7 +122,7 @@ class LinearisedModel(FieldSummaryRepr):
         """
         c = self.corners
         whitened = c.whiten @ pixels[c.order]
-        return split_rows_by_frame_bases(whitened.reshape(2 * len(c.order), -1), c.local, c.edges)
+        return coordinates_and_rest_in_frame_bases(whitened.reshape(2 * len(c.order), -1), c.local, c.edges)
 
     def folded(self, inner: Floats, rest: Floats) -> Column:
         """Column of corner displacements that `split_by_frames` split."""
@@ -236,12 +242,12 @@ def _corner_frames(
     local, edges = rows.local, rows.edges
     off = (k.observed.observations.uv - pixels)[rows.order]
     rho = np.einsum("nij,nj->ni", rows.whiten, off).reshape(-1, 1)
-    _, whole = split_rows_by_frame_bases(rho.copy(), local, edges)
+    _, whole = coordinates_and_rest_in_frame_bases(rho.copy(), local, edges)
     sigma = _noise(whole[:, 0], rows, local.shape[1] * len(k.t))
     far = np.abs(rho / sigma)
     excess = float((2 * clip * np.maximum(far - clip, 0)).sum())
     reach = float(np.quantile(far, REACHED)) if len(far) else 0.0
-    projected, left = split_rows_by_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
+    projected, left = coordinates_and_rest_in_frame_bases(np.clip(rho / sigma, -clip, clip), local, edges)
     inner = np.concatenate([projected, rows.inner / sigma], axis=2)
     spread = pose_covariance_by_estimated_corner_errors(rows.smooth, rows.without_nuisances(left[:, 0]), local, edges)
     return (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnosis.engine.linear_model import orthonormal_combinations
+from calib.diagnosis.engine.linear_residual_model import orthonormal_combinations
 from calib.diagnosis.problems.platform.linearisation_operating_point import EDGE_SHIFT, OperatingPoint
 from rig.array_and_json_types import Booleans, Floats, Integers
 from rig.compute.parallel_map_and_dask_cluster import thread_map
@@ -27,7 +27,7 @@ from vision.bundle.pose_covariance_of_correlated_corner_errors import (
     SmoothImageErrors,
     smooth_image_error_model_of_corners,
 )
-from vision.corner_observations_and_merging import Observations, find_repeated_base_corners, group_sums
+from vision.corner_observations_and_merging import Observations, group_sums, repeated_base_corner_rows_and_groups
 
 CLIP = 5.0  # standard deviations for which a corner's residual counts at most
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
@@ -161,7 +161,9 @@ class _Nuisances:
         self.priors += priors
 
 
-def split_rows_by_frame_bases(rows: Floats, frame_bases: Floats, frame_edges: Integers) -> tuple[Floats, Floats]:
+def coordinates_and_rest_in_frame_bases(
+    rows: Floats, frame_bases: Floats, frame_edges: Integers
+) -> tuple[Floats, Floats]:
     """Rows (2n, k) split by each frame's own basis.
 
     Into coordinates in the basis (F, L, k) and the orthogonal rest (2n, k).
@@ -207,7 +209,7 @@ def corner_derivatives(point: OperatingPoint, predicted_pixels: Floats) -> Corne
         start += block.shape[2]
     local, to_local = _own_basis(J_local.reshape(2 * n, L), edges)
     stated = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
-    inner, derivatives = split_rows_by_frame_bases(table.reshape(2 * n, -1), local, edges)
+    inner, derivatives = coordinates_and_rest_in_frame_bases(table.reshape(2 * n, -1), local, edges)
     gram = np.sum(thread_map(lambda part: part.T @ part, np.array_split(derivatives, PARTS)), axis=0)
     return CornerDerivatives(
         point,
@@ -312,7 +314,7 @@ def _weights(o: Observations, k: OperatingPoint) -> Floats:
     """
     if not k.standing:
         return o.covariance
-    rows, index, _ = find_repeated_base_corners(o, k.moving)
+    rows, index, _ = repeated_base_corner_rows_and_groups(o, k.moving)
     weights = o.covariance.copy()
     weights[rows] += (np.bincount(index)[index] * k.standing**2)[:, None, None] * np.eye(2)
     return weights
@@ -332,7 +334,7 @@ def repeated_corner_error(point: OperatingPoint) -> float:
     if k.seen is None:
         return 0.0
     o = k.observed.observations
-    rows, index, _ = find_repeated_base_corners(o, k.moving)
+    rows, index, _ = repeated_base_corner_rows_and_groups(o, k.moving)
     count = np.bincount(index)
     many = count >= REPEATS
     if many.sum() < STANDING_GROUPS:

@@ -15,7 +15,7 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     solve_normal_equations,
     solve_with_prior,
 )
-from calib.diagnosis.engine.linear_model import Column, Projection
+from calib.diagnosis.engine.linear_residual_model import Column, Projection
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import time_cosines
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import Sensitivities
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Crowd, LeftOut, Outliers
-from calib.diagnosis.engine.cross_validation_and_chance import (
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import (
     FEWEST,
     FOLDS,
     CrossValidation,
@@ -22,7 +22,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
     held_out_residuals,
     summed_gain_in_standard_errors,
 )
-from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.linear_residual_model import Column
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
     axis_speeds,
     centred_and_scaled_to_plus_minus_one,
@@ -327,7 +327,7 @@ def _both(refined: Refinement, numbers: set[int], fold: Integers | None = None) 
     after = held_out_residuals(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
     bare = model.marginalise(refined.column.take(others)) if others and refined.column is not None else model
-    done = residual_change_with_only_effects(model, [e for i, e in enumerate(k.effects) if i not in numbers])
+    done = residual_change_column_with_only_effects(model, [e for i, e in enumerate(k.effects) if i not in numbers])
     grown = tuple(
         b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts)
     )
@@ -349,8 +349,8 @@ def frames_before_and_after_sudden_changes(effects: Sequence[Effect], t: Floats)
     return [side for moment in moments for side in (t >= moment, t < moment)]
 
 
-def residual_change_with_only_effects(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
-    """Change of a model's residuals (Column) if only these effects were admitted."""
+def residual_change_column_with_only_effects(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
+    """Column by which a model's residuals change, nothing refitted, if only these effects were admitted."""
     k, left = model.point, tuple(effects)
     out = (
         model.lengthened((k.effective() - k.effective(left))[..., None]) if k.axes else Column((None, model.nothing(1)))

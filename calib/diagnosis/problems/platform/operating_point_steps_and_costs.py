@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.linear_residual_model import Column
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint, move_operating_point
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import (
     camera_edge_bias_nuisances,
+    coordinates_and_rest_in_frame_bases,
     remounted_cube_pose_nuisances,
-    split_rows_by_frame_bases,
 )
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_base_class import Effect
@@ -23,7 +23,7 @@ from rig.model.mechanisms.mechanism_kinds_and_kinematics import geometric_parame
 from rig.model.pose import exp
 
 
-def operating_point_after_step(
+def operating_point_and_nuisance_moves_after_step(
     model: LinearisedModel, step: Floats, column: Column | None, effects: Sequence[Effect], share: float = 1.0
 ) -> tuple[OperatingPoint, Floats]:
     """(OperatingPoint with effects, nuisances and each frame's own poses moved by a share of the way to where the fit
@@ -76,7 +76,7 @@ def cost_without_relinearisation(model: LinearisedModel, point: OperatingPoint, 
         off = (point.seen.observations.uv - point.pixels())[c.order]
         rho = np.einsum("nij,nj->ni", c.whiten, off).reshape(-1, 1) / c.sigma
         excess = float((2 * c.clip * np.maximum(np.abs(rho) - c.clip, 0)).sum())
-        inner, out = split_rows_by_frame_bases(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
+        inner, out = coordinates_and_rest_in_frame_bases(np.clip(rho, -c.clip, c.clip), c.local, c.edges)
         corners = out[:, 0]
     closures = np.zeros(0)
     if point.axes:

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 import scipy
 
-from calib.diagnosis.engine.cross_validation_and_chance import scan_p_value
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import scan_p_value
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import (
     ALPHA,
     LIKELY,
@@ -39,7 +39,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnosis.problems.platform.linearised_corners import MEDIAN, edge_shift_pixel_derivatives
-from calib.diagnosis.problems.platform.platform_candidate_scores import (
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import (
     axis_elongation_inner_products,
     constant_displacement_normal_equations,
     corner_displacement_normal_equations_by_frame,
@@ -48,7 +48,7 @@ from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras
     FAST,
     SLOW,
     camera_mount_and_focal_pixel_derivatives,
-    corner_shift_pixel_derivatives,
+    corner_rows_and_shift_pixel_derivatives,
     image_warp_pixel_derivatives,
     mount_and_focal_length_time_cosines,
     strut_deviation_basis_functions_by_covariate,
@@ -189,7 +189,7 @@ def _marker(model: LinearisedModel, edges: Floats, number: int, count: int) -> l
     What comes back in every frame where nothing moves is the corner finder's own error. It is not the same in a moving
     marker's views, and is taken as random between markers (DerSimonian and Laird, Controlled clinical trials 7, 1986).
     """
-    hit, moved = corner_shift_pixel_derivatives(model.point, edges, number)
+    hit, moved = corner_rows_and_shift_pixel_derivatives(model.point, edges, number)
     of_a_corner = count / model.corner_noise() ** 2
     found = _still(model, hit, moved, Place("marker", str(number)), "place on the marker", 4 * of_a_corner)
     if found is None or not model.point.standing:

@@ -14,10 +14,10 @@ from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types im
     SelectionPolicy,
     StatedTerms,
 )
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.forward_and_backward_term_selection import Selection
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
-from calib.diagnosis.engine.linear_model import Column, LinearModel
+from calib.diagnosis.engine.linear_residual_model import Column, LinearModel
 from calib.diagnosis.engine.problem_interface import Wald
 from calib.diagnosis.problems.platform import marker_and_thermometer_tolerance_model_and_significance
 from calib.diagnosis.problems.platform import platform_lack_of_fit_excess_scatter_and_covariates as remainder
@@ -26,7 +26,7 @@ from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities impor
     PlatformCandidate,
     PlatformScore,
     Sensitivities,
-    effect_parameter_directions,
+    effect_coordinates_and_directions,
 )
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     Refinement,
@@ -43,10 +43,10 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
     linearise,
 )
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import cross_validate_effects
-from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column, score_candidates
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import candidate_column, score_candidates
 from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras_and_markers import (
     model_with_smooth_functions,
-    smooth_function_columns,
+    smooth_function_pixels_and_weights,
 )
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.report.verdict_refutations_and_result_display import FieldSummaryRepr
@@ -135,7 +135,7 @@ class PlatformProblem(FieldSummaryRepr):
 
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
-        _, column = effect_parameter_directions(model, self.sensitivities)
+        _, column = effect_coordinates_and_directions(model, self.sensitivities)
         return self.model_beyond_tolerances(model if column is None else model.marginalise(column))
 
     def model_beyond_tolerances(self, model: LinearisedModel) -> LinearisedModel:
@@ -154,7 +154,9 @@ class PlatformProblem(FieldSummaryRepr):
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.model_without_term(fit, number)
         whole = not fit.terms[number].site.is_axis
-        return self.marginalised(model_with_smooth_functions(model, *smooth_function_columns(model, left, whole)))
+        return self.marginalised(
+            model_with_smooth_functions(model, *smooth_function_pixels_and_weights(model, left, whole))
+        )
 
     def linear(self, model: LinearisedModel) -> LinearModel:
         return model.linear

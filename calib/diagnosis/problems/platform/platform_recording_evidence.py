@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import NotTested, Outliers, StatedTerms
-from calib.diagnosis.engine.cross_validation_and_chance import CrossValidation
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import CrossValidation
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import Covariate, LackOfFit
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding
@@ -37,10 +37,13 @@ from calib.diagnosis.problems.evidence_interface_and_requested_effects import (
     value_with_interval_cut_at_bounds,
 )
 from calib.diagnosis.problems.platform.detectable_platform_effect_sizes import detectable_platform_effect_sizes
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import PlatformCandidate, platform_candidates
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
+    PlatformCandidate,
+    platform_candidates_and_untested_effects,
+)
 from calib.diagnosis.problems.platform.linearisation_operating_point import (
     OperatingPoint,
-    operating_point_of_recording,
+    operating_point_source_and_measurement,
     remove_corners_far_from_prediction,
 )
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import CLOSURES, CORNERS, LinearisedModel
@@ -117,7 +120,7 @@ class PlatformEvidence(FieldSummaryRepr):
 
     def problem(self, outliers: Outliers) -> tuple[PlatformProblem, list[NotTested]]:
         point = remove_corners_far_from_prediction(operating_point_without_outliers(self.point, outliers))
-        candidates, not_tested = platform_candidates(point, self.requested)
+        candidates, not_tested = platform_candidates_and_untested_effects(point, self.requested)
         return PlatformProblem(
             point, candidates, given=require_assumed_effects_testable(self.given, candidates, not_tested)
         ), not_tested
@@ -280,7 +283,7 @@ def platform_evidence(
     Raises NotEnoughData where too little was measured, and what measuring raises.
     """
     faces = "auto" if requested.name(FACE_MOTION.name) else "stated"
-    point, source, measured = operating_point_of_recording(recording, progress, calibration, faces, sampled)
+    point, source, measured = operating_point_source_and_measurement(recording, progress, calibration, faces, sampled)
     moved = (
         [m for m in marker_and_target_displacements(measured.adjustment) if m.moved]
         if measured is not None and measured.places_free

@@ -8,7 +8,7 @@ import scipy
 from scipy.fft import fft
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
-from calib.diagnosis.engine.cross_validation_and_chance import residual_dispersion
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import residual_dispersion
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import (
     FrameProducts,
     Normal,

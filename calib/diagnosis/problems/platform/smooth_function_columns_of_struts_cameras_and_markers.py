@@ -18,7 +18,7 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
 from calib.diagnosis.problems.platform.linearisation_operating_point import OperatingPoint
 from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals import LinearisedModel, linearise
 from calib.diagnosis.problems.platform.linearised_corners import edge_shift_pixel_derivatives
-from calib.diagnosis.problems.platform.platform_candidate_scores import camera_mount_pixel_derivatives
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import camera_mount_pixel_derivatives
 from rig.array_and_json_types import Floats, Integers
 from rig.model.arm_hands_effect_places_and_tolerances import Place
 from rig.model.design import image_warp_columns
@@ -113,12 +113,14 @@ def _marker_pixels(k: OperatingPoint, ids: Integers) -> Floats:
     edges = edge_shift_pixel_derivatives(k)
     out = np.zeros((len(edges), 2, 8 * len(ids)))
     for j, number in enumerate(ids):
-        rows, moved = corner_shift_pixel_derivatives(k, edges, number)
+        rows, moved = corner_rows_and_shift_pixel_derivatives(k, edges, number)
         out[rows, :, 8 * j : 8 * j + 8] = moved
     return out
 
 
-def corner_shift_pixel_derivatives(point: OperatingPoint, edges: Floats, marker: int) -> tuple[Integers, Floats]:
+def corner_rows_and_shift_pixel_derivatives(
+    point: OperatingPoint, edges: Floats, marker: int
+) -> tuple[Integers, Floats]:
     """Derivatives (h, 2, 8) of one marker's corner pixels by shifts of corners along its edges, with rows (h,).
 
     Edges as `edge_shift_pixel_derivatives` has them.
@@ -141,10 +143,10 @@ def _distortions() -> Floats:
     return null_space(np.einsum("csd,cdr->csr", edges, rigid).reshape(8, 3).T)
 
 
-def smooth_function_columns(
+def smooth_function_pixels_and_weights(
     model: LinearisedModel, lacks_of_fit: list[LackOfFit], whole: bool
 ) -> tuple[Floats | None, Floats | None]:
-    """Columns of the smooth functions of a lack of fit.
+    """Pixel columns, and weights at axes, of the smooth functions of a lack of fit.
 
     At all struts where it is struts, at all markers where it is one, else at the cameras themselves.
     whole : whether they are to stand beside a law of the whole machine, which such functions at all struts would
@@ -191,7 +193,7 @@ def model_with_smooth_functions(
 ) -> LinearisedModel:
     """LinearisedModel with smooth functions among its nuisances.
 
-    pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_columns` gives them
+    pixels (n, 2, q) and weights (F, axes, r) as `smooth_function_pixels_and_weights` gives them
     What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not
     keep their misfit.
     """

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.certification.platform_certification import silent_progress
-from calib.diagnosis.engine.cross_validation_and_chance import (
+from calib.certification.platform_certification import ignore_progress
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import (
     cross_validation_folds_of_frames,
     held_out_residuals,
     summed_gain_in_standard_errors,
@@ -17,7 +17,7 @@ from calib.diagnosis.engine.cross_validation_and_chance import (
 from calib.diagnosis.engine.formula_search_for_unexplained_residuals import Formula, Library, Search
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Reduced
-from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.linear_residual_model import LinearModel
 from calib.diagnosis.engine.problem_interface import Progress
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import (
     AGREE,
@@ -28,7 +28,7 @@ from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repe
     formula_text,
     library_of_quantities,
 )
-from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import effect_parameter_directions
+from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import effect_coordinates_and_directions
 from calib.diagnosis.problems.platform.joint_refinement_of_cameras_geometry_poses_and_effects import (
     refine_operating_point,
 )
@@ -39,9 +39,9 @@ from calib.diagnosis.problems.platform.linearised_corner_and_closure_residuals i
     linearise,
 )
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
-    residual_change_with_only_effects,
+    residual_change_column_with_only_effects,
 )
-from calib.diagnosis.problems.platform.platform_candidate_scores import axis_elongation_inner_products
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import axis_elongation_inner_products
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem
 from rig.array_and_json_types import Floats
 from rig.effects.framework.effect_base_class import Effect
@@ -103,7 +103,7 @@ def suggest_strut_formulas(
     model = problem.residual(fit)
     if not k.axes or not places:
         return []
-    report = progress or silent_progress
+    report = progress or ignore_progress
     struts = [i for i in range(k.axes) if k.places[i] in places]
     sites = [_of_strut(k, i) for i in struts] + (
         [_of_all(k), _of_platform(k)] if len(struts) >= SEVERAL or Place("rig") in places else []
@@ -187,7 +187,7 @@ def _with(problem: PlatformProblem, fit: PlatformFit, point: OperatingPoint) -> 
     same without).
     """
     bare = linearise(point)
-    coordinates, column = effect_parameter_directions(bare, problem.sensitivities)
+    coordinates, column = effect_coordinates_and_directions(bare, problem.sensitivities)
     others = [i for i, c in enumerate(coordinates) if c.effect < len(fit.refined.point.effects)]
     new = bare.marginalise(column.take(others)) if others and column is not None else bare
     return problem.model_beyond_tolerances(new), bare
@@ -197,7 +197,7 @@ def _model_with_formula(problem: PlatformProblem, fit: PlatformFit, site: Site, 
     """LinearisedModel in which nothing of a Formula is taken off, and struts count for what they scatter beside it."""
     k = fit.refined.point
     new, bare = _with(problem, fit, k.with_effects((*k.effects, _effect(site, formula))))
-    return replace(new, linear=_grown(new.linear, residual_change_with_only_effects(bare, k.effects).parts))
+    return replace(new, linear=_grown(new.linear, residual_change_column_with_only_effects(bare, k.effects).parts))
 
 
 def _grown(linear: LinearModel, parts: Sequence[Floats | None]) -> LinearModel:

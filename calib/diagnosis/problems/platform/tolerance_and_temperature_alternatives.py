@@ -13,9 +13,9 @@ import scipy
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Alternative, Score
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import C
 from calib.diagnosis.engine.choice_between_whole_machine_and_axis_terms import is_significant_alone_or_with_other_axes
-from calib.diagnosis.engine.cross_validation_and_chance import Z95
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95
 from calib.diagnosis.engine.lack_of_fit_tests_excess_scatter_and_covariate_ranking import LackOfFit
-from calib.diagnosis.engine.linear_model import Column, Projection, column_cosine, join_columns
+from calib.diagnosis.engine.linear_residual_model import Column, Projection, column_cosine, join_columns
 from calib.diagnosis.engine.term_confirmation_against_alternative_candidates import Finding, is_finding_significant
 from calib.diagnosis.problems.covariate_functions_smoothed_temperatures_and_repeats import time_cosines
 from calib.diagnosis.problems.evidence_interface_and_requested_effects import Remark, Tolerable, Value
@@ -39,9 +39,9 @@ from calib.diagnosis.problems.platform.marker_and_thermometer_tolerance_model_an
     tolerance_sigmas_from_residuals,
 )
 from calib.diagnosis.problems.platform.marker_swap_detection_and_effect_cross_validation import (
-    residual_change_with_only_effects,
+    residual_change_column_with_only_effects,
 )
-from calib.diagnosis.problems.platform.platform_candidate_scores import candidate_column
+from calib.diagnosis.problems.platform.platform_candidate_chi_square_scores import candidate_column
 from calib.diagnosis.problems.platform.platform_problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnosis.problems.platform.smooth_function_columns_of_struts_cameras_and_markers import SLOW
 from rig.array_and_json_types import Floats
@@ -326,7 +326,7 @@ def _corner_displacement(fit: PlatformFit, number: int) -> float:
     """
     k, model = fit.refined.point, fit.refined.model
     others = [e for i, e in enumerate(k.effects) if i != number]
-    square = model.linear.project(residual_change_with_only_effects(model, others)).gram[0, 0]
+    square = model.linear.project(residual_change_column_with_only_effects(model, others)).gram[0, 0]
     touched = np.count_nonzero((k.pixels() != k.pixels(tuple(others))).any(axis=1))
     return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))
 

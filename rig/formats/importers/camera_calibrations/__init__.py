@@ -3,8 +3,8 @@ a rig.toml.
 """
 
 from rig.formats.importers.camera_calibrations.calibration_files_to_rig_toml import (
-    read_camera_calibration,
+    read_calibration_program_and_cameras,
     rig_toml_with_cameras,
 )
 
-__all__ = ["read_camera_calibration", "rig_toml_with_cameras"]
+__all__ = ["read_calibration_program_and_cameras", "rig_toml_with_cameras"]

@@ -20,7 +20,7 @@ from rig.formats.importers.camera_calibrations.kalibr_multical_caliscope_ros_ope
     REALSENSE,
 )
 from rig.formats.importers.camera_calibrations.realsense_intrinsics import realsense_text_entries
-from rig.formats.importers.import_recipe import Cameras
+from rig.formats.importers.foreign_file_import_recipe import Cameras
 from rig.formats.local_and_remote_input_files import read_text, short_repr
 from rig.formats.numbers_and_units import parse_numbers, stated_units
 from rig.formats.rig_toml.camera_instrument_experiment_and_cube_turn_entries import (
@@ -33,8 +33,8 @@ from rig.model.pose import pose
 LARGEST = 1 << 22  # bytes
 
 
-def read_camera_calibration(path: Path) -> tuple[str, list[ForeignCamera]]:
-    """Read a camera calibration file.
+def read_calibration_program_and_cameras(path: Path) -> tuple[str, list[ForeignCamera]]:
+    """Read a camera calibration file: the program that wrote it, and its cameras.
 
     Returns the program that wrote it, and the cameras in it (ForeignCameras).
     Raises FileError, with line and key, for anything that cannot be used.
@@ -85,7 +85,7 @@ def rig_toml_with_cameras(
     lines: tuple[str, ...] = ()
     changed: list[Camera] = []
     for file in settings.files:
-        kind, found = read_camera_calibration(file)
+        kind, found = read_calibration_program_and_cameras(file)
         if kind == REALSENSE:
             found = _streams_of_rig(found, settings, known, file)
         named = {_ours(one, settings, known, alone=len(found) * len(settings.files) == 1): one for one in found}

@@ -12,7 +12,7 @@ from calib.certification.calibration_dataclass_and_claim_sentences import Calibr
 from calib.files import calibration_file
 from calib.models.arm import arm_certification as certifying
 from calib.models.arm import arm_error_model_and_instrument_observations
-from calib.models.arm.arm_certification import calibrate_arm, certify_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification, certify_arm
 from calib.models.arm.joint_space_correction_and_workspace_claim import arm_workspace_claim
 from rig.cli import command_line
 from rig.errors import NotEnoughData, Unreachable
@@ -50,7 +50,9 @@ def test_held_out_poses_are_as_good_as_they_are_measured(plain):
 def test_commands_give_wanted_poses_of_the_real_arm(nominal):
     rng = np.random.default_rng(1)
     true = worlds.secret(nominal, rng)
-    correction, found = calibrate_arm(worlds.tracked(true, nominal, 120, rng), nominal, worlds.TRACKER, False)
+    correction, found = arm_correction_and_identification(
+        worlds.tracked(true, nominal, 120, rng), nominal, worlds.TRACKER, False
+    )
     q = configurations(nominal, 60, rng, 0.4)
     bent = (
         np.abs(q[:, len(q[0]) - 4]) > 0.3
@@ -130,7 +132,7 @@ def test_stated_uncertainty_of_a_command_covers_its_error(plain):
     true, samples, done = plain
     calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     q = configurations(UR10, 200, np.random.default_rng(5), 0.5)
-    covariance = certifying.arm_pose_covariance(calibration, q)
+    covariance = certifying.corrected_arm_pose_covariance(calibration, q)
     error = pose_difference(
         done.correction.predict(q), arm_error_model_and_instrument_observations.predicted_target_poses(q, true)
     )
@@ -248,7 +250,9 @@ def test_few_poses_are_fitted_or_say_what_it_takes(count):
             certify_arm(samples, UR10, worlds.TRACKER, rng)
         return
     if count > 9 and count % 5:
-        done = calibrate_arm(samples, UR10, worlds.TRACKER, False)[1]  # the folds of these are tried at 8, 9, 10 and 15
+        done = arm_correction_and_identification(samples, UR10, worlds.TRACKER, False)[
+            1
+        ]  # the folds of these are tried at 8, 9, 10 and 15
         assert done.rank.free.sum() == 30
         return
     done = certify_arm(samples, UR10, worlds.TRACKER, rng)

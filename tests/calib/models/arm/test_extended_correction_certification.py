@@ -14,12 +14,12 @@ from calib.certification.configuration_space_correction_certification import Ext
 from calib.correction.correction_field_methods_fitting_combination_and_json import field_from_entries, field_to_dict
 from calib.files import calibration_file
 from calib.models.arm import arm_error_model_and_instrument_observations
-from calib.models.arm.arm_certification import arm_pose_covariance
+from calib.models.arm.arm_certification import corrected_arm_pose_covariance
 from calib.models.arm.joint_space_correction_and_workspace_claim import (
     certify_arm_correction_extension,
     claim_without_geometry,
     joint_correction_summands_for_interpolation,
-    nominal_arm_correction,
+    nominal_arm_correction_and_placement,
     rms_and_greatest_joint_single_step_error,
 )
 from calib.samples.commanded_and_measured_pose_samples import Samples
@@ -112,12 +112,14 @@ def test_it_is_kept_in_the_file_and_says_how_sure_it_is(gridded, tmp_path):
         loaded.correction.predict(inner),
         arm_error_model_and_instrument_observations.predicted_target_poses(inner - geared(inner), true),
     )
-    stated = np.sqrt(np.einsum("nii->ni", arm_pose_covariance(loaded, inner))[:, :3].sum(axis=1).mean())
+    stated = np.sqrt(np.einsum("nii->ni", corrected_arm_pose_covariance(loaded, inner))[:, :3].sum(axis=1).mean())
     assert (
         0.4 < np.sqrt((error[:, :3] ** 2).sum(axis=1).mean()) / stated < 2
     )  # the extension's own error is in what is stated
     plain = replace(loaded, correction=replace(loaded.correction, extension=None))
-    assert stated > 2 * np.sqrt(np.einsum("nii->ni", arm_pose_covariance(plain, inner))[:, :3].sum(axis=1).mean())
+    assert stated > 2 * np.sqrt(
+        np.einsum("nii->ni", corrected_arm_pose_covariance(plain, inner))[:, :3].sum(axis=1).mean()
+    )
     assert "extended by linear" in claim.tolerance and claim.after[0][0] < 0.5 * claim.before[0][0]
 
 
@@ -128,7 +130,9 @@ def test_summands_meet_the_poses_and_keep_none_where_a_pose_tells_no_joint(arm):
     q = rng.uniform(-1.2, 1.2, (40, len(arm.joints)))
     q[0, len(arm.joints) - 2] = 0.0  # two axes of the wrist in one line
     samples = samples_at(q, true)
-    plain, _ = nominal_arm_correction(samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool))
+    plain, _ = nominal_arm_correction_and_placement(
+        samples, arm, worlds.TRACKER, replace(arm, base=true.base, tool=true.tool)
+    )
     known = joint_correction_summands_for_interpolation(samples, plain.fitted, np.zeros(0))
     missed = np.abs(
         pose_difference(

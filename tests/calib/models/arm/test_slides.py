@@ -11,7 +11,7 @@ from calib.models.arm import (
     arm_base_and_tool_placement_in_instrument_frame,
     arm_error_model_and_instrument_observations,
 )
-from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification
 from calib.models.arm.arm_error_model_and_instrument_observations import pose_observations
 from calib.models.arm.arm_identification_and_joint_profiles import identify_arm, independent_arm_parameter_mask
 from rig.errors import Unreachable
@@ -91,7 +91,7 @@ def test_few_joints_are_commanded_to_the_nearest_pose_and_the_rest_is_told():
     rng = np.random.default_rng(4)
     true = worlds.secret(SCARA, rng)
     samples = worlds.tracked(true, SCARA, 80, rng)
-    correction, found = calibrate_arm(samples, SCARA, worlds.TRACKER, False)
+    correction, found = arm_correction_and_identification(samples, SCARA, worlds.TRACKER, False)
     tilt = np.zeros((20, 6))
     tilt[:, 3:5] = 1e-3 * rng.normal(size=(20, 2))
     tool = found.arm.tool.rotation.as_matrix()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.models.arm import arm_error_model_and_instrument_observations
-from calib.models.arm.arm_certification import calibrate_arm
+from calib.models.arm.arm_certification import arm_correction_and_identification
 from calib.models.arm.arm_correction import ArmCorrection
 from rig.errors import Unreachable
 from rig.model.mechanisms import arm_kinematics_limits_and_loads as mechanism
@@ -41,8 +41,8 @@ def drawn(arm, seed, count=30, deviation=None):
 )
 def test_the_tracker_elsewhere_changes_no_command(arm, seed):
     samples, wanted = drawn(arm, seed)
-    here, _ = calibrate_arm(samples, arm, worlds.TRACKER, False)
-    displaced, _ = calibrate_arm(
+    here, _ = arm_correction_and_identification(samples, arm, worlds.TRACKER, False)
+    displaced, _ = arm_correction_and_identification(
         replace(samples, T_base_platform=ELSEWHERE * samples.T_base_platform), arm, worlds.TRACKER, False
     )
     commands = here.inverse(wanted)
@@ -53,7 +53,7 @@ def test_the_tracker_elsewhere_changes_no_command(arm, seed):
 @pytest.mark.slow
 def test_the_single_step_is_on_the_elbow_of_the_fixed_point_and_no_whole_turn_is_counted():
     samples, wanted = drawn(UR10, 0, 60, lambda q: 2e-3 * np.sin(q))
-    correction, _ = calibrate_arm(samples, UR10, worlds.TRACKER, False)
+    correction, _ = arm_correction_and_identification(samples, UR10, worlds.TRACKER, False)
     try:
         step = correction.single_step(wanted)
     except Unreachable as error:  # beyond the owner's reach by micrometres

@@ -10,7 +10,7 @@ import pytest
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.certification.configuration_space_correction_certification import ExtensionRequest
 from calib.files import calibration_file
-from calib.models.chain.chain_certification_and_page import chain_pose_covariance, chain_workspace_claim
+from calib.models.chain.chain_certification_and_page import chain_workspace_claim, corrected_chain_pose_covariance
 from calib.models.chain.chain_correction_over_configuration_space import (
     certify_chain_correction_extension,
     chain_correction_summands,
@@ -93,7 +93,7 @@ def test_commands_lead_to_wanted_poses_closer_than_any_geometry(machine, kind, a
     at = sobol_configurations(box, 60, 0.8, 5)
     off = pose_difference(correction.predict(at), real(at, machine))
     bare = pose_difference(replace(correction, extension=None).predict(at), real(at, machine))
-    stated = np.sqrt(np.einsum("nii->ni", chain_pose_covariance(calibration, at))[:, :3].sum(axis=1).mean())
+    stated = np.sqrt(np.einsum("nii->ni", corrected_chain_pose_covariance(calibration, at))[:, :3].sum(axis=1).mean())
     assert rms(off) < most and rms(off) < 0.1 * rms(bare) and 0.7 < rms(off) / stated < 1.2
     assert claim.after[0][1] < 1.2 * rms(off) and rms(off) < 1.2 * claim.after[0][2]
     wanted = real(at, machine)

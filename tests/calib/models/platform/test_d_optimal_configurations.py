@@ -5,16 +5,16 @@ given.
 import numpy as np
 import pytest
 
-from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
-    PLAUSIBLE,
-    parameter_combinations_and_visibility,
-)
-from calib.models.platform.optimal_calibration_poses import (
+from calib.models.platform.d_optimal_hexapod_configurations import (
     CANDIDATES,
     CRITERIA,
     FILL,
     choose_d_optimal_configurations,
     solvable_commands_and_whitened_jacobians,
+)
+from calib.models.platform.determined_parameters_and_stated_geometry_tolerance import (
+    PLAUSIBLE,
+    parameter_combinations_and_visibility,
 )
 from calib.models.platform.platform_identification import identify_platform
 from rig.errors import RigError

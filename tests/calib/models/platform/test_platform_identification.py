@@ -54,12 +54,12 @@ def test_compiled_kinematics_are_the_mechanism_s(design):
     home = design.mechanism.home.as_matrix()
     R, t, e = home[:3, :3].copy(), home[:3, 3].copy(), np.empty(6)
     for command, T in zip(samples.commanded, samples.T_base_platform.as_matrix()):
-        assert strut_loop_closure_equations.forward_kinematics_kernel(command, geometric_parameters(true), R, t)
-        strut_loop_closure_equations.pose_error_kernel(
+        assert strut_loop_closure_equations.solve_pose_in_place_by_newton(command, geometric_parameters(true), R, t)
+        strut_loop_closure_equations.fill_pose_error(
             R, t, np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]), e
         )
         np.testing.assert_allclose(e, 0, atol=1e-11)
-    strut_loop_closure_equations.pose_error_kernel(home[:3, :3], home[:3, 3], R, t, e)
+    strut_loop_closure_equations.fill_pose_error(home[:3, :3], home[:3, 3], R, t, e)
     T = design.mechanism.home * exp(np.zeros(6))
     np.testing.assert_allclose(e, pose_difference(T, samples.T_base_platform[-1]), atol=1e-10)
 

@@ -8,7 +8,7 @@ from rig.driving.cameras import CameraError
 from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras import (
     Frame,
     SynchronisedCameras,
-    set_exposure_for_markers,
+    set_marker_exposure_and_measure_white,
 )
 from rig.driving.driver_opening_and_settling import NotSettled, image_difference_relative_to_noise, parse_settling
 from rig.errors import RigError
@@ -49,12 +49,12 @@ def test_a_grab_that_failed_is_tried_again_and_then_named():
 @pytest.mark.parametrize("white", [3.0, 40.0, 400.0, 2000.0])
 def test_exposure_brings_white_up_and_never_clips(white):
     source = Flaky(Ticking(), 0, white)
-    exposure, level = set_exposure_for_markers(
+    exposure, level = set_marker_exposure_and_measure_white(
         source, lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3
     )
     assert 150 <= level < 250 and exposure == source.exposure
     with pytest.raises(CameraError, match="change the light"):
-        set_exposure_for_markers(
+        set_marker_exposure_and_measure_white(
             Flaky(Ticking(), 0, 1e5), lambda image: (float(image.max()), float((image >= 250).mean())), 1e-3
         )
 

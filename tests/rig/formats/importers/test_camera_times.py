@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
-from rig.formats.importers.import_recipe import ForeignTable, Images, Recipe
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable, Images, Recipe
 from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import exposures_with_times_and_recipe
 
 COMMANDS = SimpleNamespace(t=[Decimal(0), Decimal(9)])

@@ -6,7 +6,7 @@ import pytest
 
 from rig.errors import RigError
 from rig.formats.importers import exposures_from_image_names
-from rig.formats.importers.import_recipe import Images
+from rig.formats.importers.foreign_file_import_recipe import Images
 from tests.rig.formats.importers.foreign import EPOCH
 
 ANY = lambda t: True  # noqa: E731

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.errors import FileError, MissingLibrary
 from rig.formats import csv_and_parquet_tables_and_time_origin
 from rig.formats.importers import foreign_csv_dialect_detection as csv_dialect
-from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
 from tests.rig.formats.importers.foreign import columns

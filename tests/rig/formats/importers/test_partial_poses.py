@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.formats.importers import import_recipe, recording_import
+from rig.formats.importers import foreign_file_import_recipe as import_recipe
+from rig.formats.importers import recording_import_from_foreign_files as recording_import
 from rig.formats.importers.foreign_sensor_table import read_sensors
 from rig.formats.local_and_remote_input_files import open_regular_file
 from rig.model.mechanisms import hexapod

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.formats.importers.camera_calibrations import read_camera_calibration, rig_toml_with_cameras
-from rig.formats.importers.import_recipe import Cameras
+from rig.formats.importers.camera_calibrations import read_calibration_program_and_cameras, rig_toml_with_cameras
+from rig.formats.importers.foreign_file_import_recipe import Cameras
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout.hexapod_layout_and_camera_placement import hexapod_layout_rig_toml
 
@@ -61,7 +61,9 @@ def test_each_model_is_seen_as_its_maker_states(tmp_path):
     kinds = ("Brown Conrady", "Inverse Brown Conrady", "Modified Brown Conrady", "None")
     for model in kinds:
         terms = TERMS if model != "None" else (0, 0, 0, 0, 0)
-        program, (camera,) = read_camera_calibration(listed(tmp_path / "c.txt", {"model": model, "terms": terms}))
+        program, (camera,) = read_calibration_program_and_cameras(
+            listed(tmp_path / "c.txt", {"model": model, "terms": terms})
+        )
         assert "rs-enumerate-devices" in program and camera.name == "color-1280x720" and camera.size == (1280, 720)
         rng, M = np.random.default_rng(0), camera.matrix
         if model.startswith("Inverse"):
@@ -78,19 +80,21 @@ def test_each_model_is_seen_as_its_maker_states(tmp_path):
 def test_a_lens_that_opencv_cannot_follow_and_unknown_ones_are_refused(tmp_path):
     strong = (0.0981, 0.2033, 0.0031, 0.0026, -0.1124)
     with pytest.raises(FileError, match=r"c.txt:11.*OpenCV's lens follows it to [\d.]+ px only"):
-        read_camera_calibration(listed(tmp_path / "c.txt", {"model": "Inverse Brown Conrady", "terms": strong}))
+        read_calibration_program_and_cameras(
+            listed(tmp_path / "c.txt", {"model": "Inverse Brown Conrady", "terms": strong})
+        )
     with pytest.raises(FileError, match="'Kannala Brandt4' is not supported; Brown Conrady"):
-        read_camera_calibration(listed(tmp_path / "c.txt", {"model": "Kannala Brandt4"}))
+        read_calibration_program_and_cameras(listed(tmp_path / "c.txt", {"model": "Kannala Brandt4"}))
     with pytest.raises(FileError, match="ppx must be a number, not 'wide'"):
-        read_camera_calibration(listed(tmp_path / "c.txt", {"ppx": "wide"}))
+        read_calibration_program_and_cameras(listed(tmp_path / "c.txt", {"ppx": "wide"}))
     with pytest.raises(FileError, match="listed twice with different figures"):
-        read_camera_calibration(listed(tmp_path / "c.txt", {}, {"ppx": 600}))
+        read_calibration_program_and_cameras(listed(tmp_path / "c.txt", {}, {"ppx": 600}))
 
 
 def test_json_of_the_same_figures_is_read(tmp_path):
     figures = {"width": 640, "height": 480, "ppx": 320, "ppy": 240, "fx": 600, "fy": 601}
     (tmp_path / "left.json").write_text(json.dumps(figures | {"model": "distortion.brown_conrady", "coeffs": TERMS}))
-    _, (camera,) = read_camera_calibration(tmp_path / "left.json")
+    _, (camera,) = read_calibration_program_and_cameras(tmp_path / "left.json")
     assert camera.name == "left" and camera.distortion.tolist() == list(TERMS) and camera.matrix[1, 1] == 601
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rig.formats.importers.foreign_csv_dialect_detection import read_foreign_table_header_and_cells
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.formats.importers.foreign_pose_table import POSITION, VECTOR
 from rig.formats.importers.foreign_table_column_search_and_completion import (
     TIME,
@@ -17,7 +18,6 @@ from rig.formats.importers.foreign_table_column_search_and_completion import (
     column_indices_by_headers,
 )
 from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
-from rig.formats.importers.import_recipe import ForeignTable
 from rig.recording import recording_folder
 from tests.calib.checks.test_mistakes import run_in_process
 from tests.conftest import BENCH

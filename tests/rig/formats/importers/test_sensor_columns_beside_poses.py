@@ -5,8 +5,8 @@ import pytest
 
 from rig.checks.unit_and_convention_mistakes import sensor_channel_unit_and_name_mistakes
 from rig.errors import FileError
-from rig.formats.importers.import_recipe import load_recipe, recipe_of_options, recipe_toml
-from rig.formats.importers.recording_import import assemble_recording, write_recording
+from rig.formats.importers.foreign_file_import_recipe import load_recipe, recipe_of_options, recipe_toml
+from rig.formats.importers.recording_import_from_foreign_files import assemble_recording, write_recording
 from rig.recording.recording_folder import Sensors, load_recording
 
 RIG = """schema = "rig/1"

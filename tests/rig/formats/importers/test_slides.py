@@ -5,7 +5,7 @@ import pytest
 
 from rig.errors import RigError
 from rig.formats.importers.foreign_command_table import read_commands
-from rig.formats.importers.import_recipe import ForeignTable
+from rig.formats.importers.foreign_file_import_recipe import ForeignTable
 from rig.planning.layout import shipped_arms_and_layouts
 
 

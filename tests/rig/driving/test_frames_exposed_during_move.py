@@ -15,7 +15,7 @@ from rig.driving.cameras.camera_interface_clock_offset_exposure_and_user_cameras
     SynchronisedCameras,
 )
 from rig.driving.controller_status_and_limits import PositionReport
-from rig.driving.exposures_in_motion import FramesDuringMove, interpolated_reported_strut_lengths
+from rig.driving.frames_exposed_during_move import FramesDuringMove, interpolated_reported_strut_lengths
 from rig.driving.run_journal import (
     Arrival,
     Began,

@@ -1,6 +1,6 @@
-"""Confounded conditions of a recording, and its poses on one clock.
+"""Conditions of a recording that are confounded with position, and its poses on one clock.
 
-Direction, time, temperature or load may be correlated with place.
+Direction, time, temperature or load may be correlated with position.
 
 A cause that is a function of place over the poses recorded is absorbed by a correction that is one: its effect then
 looks like geometry, and held-out poses of the same plan agree. Of each axis, a cause is regressed on smooth functions
@@ -120,7 +120,7 @@ class Confounds:
 
 
 def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | Free) -> Confounds | None:
-    """Confounds of the samples of a mechanism.
+    """Confounds: conditions of a mechanism's samples that go with position, axis by axis.
 
     None where no recording states their conditions.
     """
@@ -135,7 +135,7 @@ def confounds_of_samples(samples: Samples, mechanism: Parallel | Arm | Chain | F
 def confounds_of_configurations(
     values: Floats, reached_from: Floats, mechanism: Parallel | Arm | Chain | Free
 ) -> Confounds:
-    """Confounds of configurations (n, axes) m or rad.
+    """Confounds of conditions with position, of configurations (n, axes) m or rad.
 
     They are visited in order at even times, each reached from (n, axes).
     """
@@ -148,7 +148,7 @@ def confounds_of_configurations(
 
 
 def confounds_of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
-    """Confounds of several recordings of one machine, taken as one recording, one after the other in time.
+    """Confounds of conditions with position, of several recordings of one machine in order of time.
 
     None where one has no commands.
 
@@ -190,7 +190,7 @@ def _row_in(row: Entries) -> Confound:
 def confounds_of_experimental_design(
     values: Floats, direction: Floats, t: Floats, channels: dict[str, Floats], axes: Sequence[str]
 ) -> Confounds:
-    """Confounds of an experimental design, of a plan or a recording.
+    """Confounds of conditions with position, of the design of a plan or a recording.
 
     values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)};
         axes : their places in words

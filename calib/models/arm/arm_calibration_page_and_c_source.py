@@ -1,4 +1,4 @@
-"""Page of an arm's calibration, and its correction as C source.
+"""HTML page of an arm's calibration, and its correction as C source.
 
 The page shows before and after on held-out poses, joint profiles, coverage, parameters and rank. The source is one C99
 file: joint commands in, corrected joint commands out.
@@ -21,7 +21,7 @@ from calib.correction.hexapod_correction_c_source_and_shared_c_file_parts import
     FIELDS,
     CCall,
     CSource,
-    append_add_remainder_c_function,
+    append_add_remainder_if_any,
     c_file_head_interface_and_constants,
     c_source_part,
     controller_terms_of_compensable_effects,
@@ -206,7 +206,7 @@ def arm_correction_c_source(correction: ArmCorrection, physics: Physics | None, 
     geometry.array("RANGE", nominal.limits, shape="[RIG_AXES][2]")
     geometry.array("GAP", effects.plays, shape="[RIG_AXES]")
     profiles = [_profile(tables, one) for one in correction.remainder if one is not None]
-    settled = append_add_remainder_c_function(tables, correction.extension, profiles)
+    settled = append_add_remainder_if_any(tables, correction.extension, profiles)
     few = correction.deficient
     if few:
         count = hand_motion_direction_counts(nominal)

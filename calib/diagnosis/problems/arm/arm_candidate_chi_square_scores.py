@@ -1,4 +1,4 @@
-"""Scores of all candidates on an arm's linearised model.
+"""Scores (delta chi-square) of all candidates on an arm's linearised model.
 
 Each at the best node of its grid.
 """
@@ -19,7 +19,7 @@ from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame imp
     sinusoid_weighted_sums,
     solve_with_prior,
 )
-from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.linear_residual_model import Column
 from calib.diagnosis.problems.arm.joint_effect_candidates_and_effects_seen_by_instruments import (
     Form,
     JointCandidate,

@@ -1,7 +1,4 @@
-"""HTML page of repeated visits.
-
-It gives the verdict on the last.
-"""
+"""HTML page of the visits that watch a calibration's drift, with the verdict on the last."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

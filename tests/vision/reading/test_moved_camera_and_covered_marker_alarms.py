@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vision.reading.live_measurement_and_corner_refit import Sight
-from vision.reading.live_run_camera_and_marker_alarms import Watch
+from vision.reading.moved_camera_and_covered_marker_alarms import Watch
 
 NOISE = 0.02
 

@@ -1,6 +1,4 @@
-"""Smooth curves for axis errors that a diagnosis leaves unexplained.
-
-Curves over time, travel or a sensor are chosen for them.
+"""Choice of smooth curves, over time, travel or a sensor, for axis errors that a diagnosis leaves unexplained.
 
 Curves are tried at the axes that have such a finding, one after the other, the largest finding first. Each is fitted
 with geometry and effects together, and the next is asked of what it leaves.
@@ -19,7 +17,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, null_space
 
 from calib.correction.physical_effects_of_calibration_and_their_compensation import Unknown
-from calib.diagnosis.engine.cross_validation_and_chance import (
+from calib.diagnosis.engine.cross_validation_and_chance_probabilities import (
     RIDGE,
     cross_validation_folds_of_frames,
     signed_rank_gain_in_standard_errors,

@@ -1,6 +1,6 @@
-"""Comparison of two designs, and cube turning instructions.
+"""Contradictions of two designs of one rig, and its cubes turned by quarters between recordings.
 
-Contradictions of two designs of one rig; cubes turned by quarters, with instructions to the operator.
+With instructions to the operator for turning them.
 """
 
 import re
@@ -83,8 +83,8 @@ COLUMN = "turned_"  # before a cube's name: column of a plan in time
 WORDS = ("as it was", "turned by a quarter turn", "turned by a half turn", "turned by three quarter turns")
 
 
-def find_cube_of_text(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """Find the cube that a text names or numbers among targets.
+def cube_name_or_problem(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+    """Name of the cube that a text names or numbers among targets, or the problem in words.
 
     Returns (name, None), or ("", problem in words)
     """
@@ -108,15 +108,14 @@ def find_cube_of_text(text: str, targets: Sequence[Target]) -> tuple[str, str | 
     return found.name, None
 
 
-def parse_cube_turn_permission(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
-    """Parse the permission to turn a cube.
+def cube_turn_permission_or_problem(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+    """Permission to turn a cube, of a word of [experiment] may, or the problem in words.
 
-    A word of [experiment] may.
     Returns (permission with the cube's name, None), or ("", problem in words)
     """
     if not word.startswith(TURN):
         return word, None
-    name, problem = find_cube_of_text(word.removeprefix(TURN), targets)
+    name, problem = cube_name_or_problem(word.removeprefix(TURN), targets)
     return TURN + name if problem is None else "", problem
 
 
@@ -126,7 +125,7 @@ def design_with_turned_cubes(design: Design, quarter_turns: Mapping[str, int]) -
     Raises RigError for an unknown cube.
     """
     for name in quarter_turns:
-        _, problem = find_cube_of_text(name, design.targets)
+        _, problem = cube_name_or_problem(name, design.targets)
         if problem:
             raise RigError(problem)
     return replace(

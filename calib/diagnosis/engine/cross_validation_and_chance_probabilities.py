@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaln
 
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import SWALLOWED, FrameProducts
-from calib.diagnosis.engine.linear_model import LinearModel
+from calib.diagnosis.engine.linear_residual_model import LinearModel
 from calib.identify.bounded_and_robust_least_squares_fit import time_block_folds
 from rig.array_and_json_types import Booleans, Floats, Integers
 

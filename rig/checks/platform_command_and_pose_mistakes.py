@@ -1,4 +1,4 @@
-"""Disagreements of a platform's commands and measured poses.
+"""Mistakes that explain why a platform's commands disagree with its measured poses.
 
 Wrong struts, joints, clocks, frames, conventions.
 """

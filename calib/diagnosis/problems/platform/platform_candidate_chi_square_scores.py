@@ -1,4 +1,4 @@
-"""Scores of all candidates on a platform's linearised model.
+"""Scores (delta chi-square) of all candidates on a platform's linearised model.
 
 Each at the best node of its grid.
 """
@@ -17,7 +17,7 @@ from calib.diagnosis.engine.candidate_scores_and_their_significance import (
 )
 from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Node
 from calib.diagnosis.engine.least_squares_with_nuisances_eliminated_by_frame import FrameProducts, Solved
-from calib.diagnosis.engine.linear_model import Column
+from calib.diagnosis.engine.linear_residual_model import Column
 from calib.diagnosis.problems.platform import platform_vibration_frequency_search
 from calib.diagnosis.problems.platform.effect_candidates_and_sensitivities import (
     SIZED,

@@ -1,4 +1,4 @@
-"""Readout time of a rolling shutter with its uncertainty, as exposures in motion show it, and its stated row time."""
+"""Row time of a rolling shutter as stated, and the result (Readout) of estimating its readout time elsewhere."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""TCP socket to a controller, by its URL.
+"""Opening of a TCP socket to a controller by its URL; others read and write.
 
 It imports nothing that takes time.
 """

@@ -1,7 +1,4 @@
-"""Import of a recording.
-
-All foreign files of a recipe are assembled and written as one recording.
-"""
+"""Import of a recording from foreign files, those of a recipe, assembled and written as one."""
 
 import shlex
 from dataclasses import dataclass, replace
@@ -20,10 +17,10 @@ from rig.formats.importers.camera_calibrations import rig_toml_with_cameras
 from rig.formats.importers.commands_held_at_poses import commands_held_at_poses
 from rig.formats.importers.exposures_from_image_names import ImportedExposures
 from rig.formats.importers.foreign_command_table import ImportedCommands, read_commands
+from rig.formats.importers.foreign_file_import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.foreign_pose_table import ImportedPoses, read_poses
 from rig.formats.importers.foreign_sensor_table import ImportedSensors
 from rig.formats.importers.foreign_table_units_and_timestamps import UnclearInput
-from rig.formats.importers.import_recipe import Images, Recipe, recipe_with_settings
 from rig.formats.importers.imported_frame_times_from_names_tables_or_commands import (
     LISTED,
     Like,

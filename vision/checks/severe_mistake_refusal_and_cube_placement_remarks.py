@@ -1,6 +1,6 @@
-"""Refusal of a recording for severe mistakes, and remarks on unevenly placed cubes.
+"""Refusal of a recording for severe mistakes, and remarks on the placement of cubes.
 
-Refused where mistakes spoil its poses; remarks are on uneven cube layouts of a rig.toml.
+Refused where mistakes spoil its poses; remarks are on cubes and their markers placed unevenly by a rig.toml.
 
 None of what is remarked spoils a result; a rig measures better, and alike in all directions, where it is put right.
 Source: the on-line learning patent for Stewart platforms, [0005], [0010]: targets evenly on circles about the middles
@@ -19,7 +19,7 @@ from rig.checks.design_value_camera_and_image_mistakes_and_all_file_checks impor
 from rig.checks.mistake_dataclass_and_clock_mistakes import Mistake
 from rig.errors import RigError
 from rig.model.design import Design, Target, markers_of_target, quarter_turns_of_cubes
-from rig.model.design_comparison_and_cube_turning_instructions import WORDS
+from rig.model.design_contradictions_and_cube_quarter_turns import WORDS
 from rig.recording.corner_and_pose_csv_tables import Corners
 from rig.recording.recording_folder import Recording
 from vision.checks.mistake_search_by_trial_corrections import find_corner_mistakes

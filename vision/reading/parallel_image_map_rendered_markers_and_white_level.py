@@ -1,6 +1,6 @@
-"""Parallel map over images, rendering of markers, and their white level.
+"""Parallel map over images, rendered images of markers, and the markers' white level.
 
-By threads, processes or cluster; expected images, PNG, white level.
+By threads, processes or cluster; images are rendered as expected, and saved as PNG.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -116,8 +116,8 @@ def save_image(path: Path, image: Pixels) -> None:
     write_bytes(path, data.tobytes())
 
 
-def marker_white_level(image: Pixels, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
-    """White level of the markers in an image.
+def marker_white_level_and_clipped_share(image: Pixels, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
+    """White level of the markers in an image, and the share of their pixels that clips.
 
     Of the whole image where none is read.
 

@@ -1,7 +1,4 @@
-"""Calibration models of machines, one for each kind of mechanism.
-
-Geometric parameters, covariance of corrected poses, file entries.
-"""
+"""Parameters, corrected pose covariance and file entries of machines, for each kind of mechanism."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -117,7 +114,7 @@ class PlatformModel:
 
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses T (n,)."""
-        return platform_certification.platform_pose_covariance(calibration, T)
+        return platform_certification.corrected_platform_pose_covariance(calibration, T)
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
@@ -143,7 +140,7 @@ class ArmModel:
 
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""
-        return arm_certification.arm_pose_covariance(calibration, commands)
+        return arm_certification.corrected_arm_pose_covariance(calibration, commands)
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None
@@ -179,7 +176,7 @@ class ChainModel:
 
     def pose_covariance(self, calibration: Calibration, T: RigidTransform, commands: Floats) -> Floats:
         """(n, 6, 6) covariance (m, rad) of the poses that commands (n, axes) give."""
-        return chain_certification.chain_pose_covariance(calibration, commands)
+        return chain_certification.corrected_chain_pose_covariance(calibration, commands)
 
     def correction_from_entries(
         self, tree: Entries, nominal: Commanded, fitted: Commanded, parts: Parts, extension: Field | None

@@ -1,7 +1,4 @@
-"""Camera and marker alarms of a run.
-
-A camera that was moved, a marker that is covered or displaced.
-"""
+"""Alarms of a run: a camera that was moved, a marker that is covered, a frame without a pose."""
 
 from collections import defaultdict
 from dataclasses import dataclass

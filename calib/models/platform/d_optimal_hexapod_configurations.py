@@ -1,6 +1,4 @@
-"""Optimal poses to calibrate a hexapod.
-
-D-optimal for its parameters.
+"""Configurations that are D-optimal to calibrate a hexapod's parameters.
 
 Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index
 of Nahvi and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange:
