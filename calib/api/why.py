@@ -32,6 +32,7 @@ from rig.errors import RigError
 from rig.model.arm_hands_effect_places_and_tolerances import require_single_hand_mechanism
 from rig.model.pose import direction_difference
 from rig.recording.recording_folder import Recording
+from rig.report.axis_places_with_joint_names import text_with_joint_names
 from rig.report.pages.page_templates_and_index_page import Link
 from rig.report.verdict_refutations_and_result_display import WORST, Verdict, result_html
 from vision.checks.severe_mistake_refusal_and_cube_placement_remarks import Notice, ignore_notice
@@ -86,7 +87,9 @@ class WhyResult:
 
     def answers(self) -> dict[str, str]:
         """{question: answer} of QUESTIONS, a line each."""
-        return dict(zip(QUESTIONS, (self._how_wrong(), self._why(), self._how_sure(), self._to_do(), self._measure())))
+        answers = self._how_wrong(), self._why(), self._how_sure(), self._to_do(), self._measure()
+        names = self.recording.design.joint_names
+        return {question: text_with_joint_names(answer, names) for question, answer in zip(QUESTIONS, answers)}
 
     def lines(self) -> list[str]:
         """The five lines."""

@@ -234,6 +234,7 @@ HANGS_ON_ANOTHER = {
 FIRST = "identity of a board's first marker"
 LEGACY = "whether a charuco's first square holds a marker where its rows are even"
 KEY_TEXTS = {  # of keys that are not fields, or not those alone
+    ('[mechanism] kind = "arm"', "joint_names"): "as other files call them: findings show them behind the numbers",
     ("[[mechanism.branch]]", "joint"): "its number: 4 is q4",
     ("[[mechanism.branch]]", "parent"): "number of the joint whose link carries it, 0 for the base",
     ("[[mechanism.hand]]", "joint"): "number of the joint whose link holds it",
@@ -254,6 +255,7 @@ KINDS_OF_GET = {
     "legacy": "true or false",
     "followers": "list of one or two numbers",
     "homing": "true or false",
+    "joint_names": "list of names, one for each joint",
     "axes": "list of names",
     "may": "list of `payload`, `wait`, `turn cube NAME`",
     "channels": "list of names",

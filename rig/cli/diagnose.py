@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from rig.cli.shared.shared_output_controller_hand_and_worker_options import (
 from rig.errors import RigError
 from rig.formats.local_and_remote_input_files import json_files_in_same_folders_as
 from rig.formats.numbers_and_units import parse_number
+from rig.report.axis_places_with_joint_names import text_with_joint_names
 
 if TYPE_CHECKING:
     from calib.api.diagnose import DiagnoseOptions
@@ -138,8 +140,8 @@ def run(arguments: Namespace) -> None:
         if found.experiments:
             found.write_plan(arguments.outputs.file(arguments.next))
             print(f"written: {arguments.next}")
-    print(result)
-    _print_report(result.report)
+    print(text_with_joint_names(str(result), result.recording.design.joint_names))
+    _print_report(result.report, result.recording.design.joint_names)
     arguments.outputs.data = frame_selection_and_content_hashes.manifest_lines_of_frame_hashes(
         frame_selection_and_content_hashes.content_hashes_of_frames(result.recording)
     )
@@ -181,7 +183,7 @@ def _words(arguments: Namespace) -> tuple[str, ...]:
     return tuple(f"{option} {text}" for option, texts in words for text in texts if text is not None)
 
 
-def _print_report(report: Report) -> None:
+def _print_report(report: Report, joint_names: Sequence[str]) -> None:
     """Print what was found, the biggest first, and what was held out."""
     from calib.diagnosis.report.detectable_size_entries_and_table_rows import detectable_size_line
     from calib.diagnosis.report.diagnosis_sentences_and_table_rows import (
@@ -192,37 +194,40 @@ def _print_report(report: Report) -> None:
         parameter_rows_of_suggested_formula,
     )
 
+    def say(line: str) -> None:
+        print(text_with_joint_names(line, joint_names))
+
     for finding in report.findings:
-        print(finding_line(finding) + (f" [{finding.said}]" if finding.said else ""))
+        say(finding_line(finding) + (f" [{finding.said}]" if finding.said else ""))
         if finding.unusual:
-            print(f"  {finding.unusual}")
+            say(f"  {finding.unusual}")
         for other in finding.cannot_be_told_from:
-            print(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
+            say(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
     for size in () if report.named else report.detectable:
-        print(detectable_size_line(size))
+        say(detectable_size_line(size))
     for entry in report.suggestions:
         values = ", ".join(f"{name} {value}" for name, value, _ in parameter_rows_of_suggested_formula(entry))
-        print(
+        say(
             f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig "
             "effects --new NAME --from DIR` writes it"
         )
     if report.remarks:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
-        print(f"present, and within tolerances: {places}{more}; see remarks")
+        say(f"present, and within tolerances: {places}{more}; see remarks")
     for one in report.left_out[:MENTIONED]:
         frame, place, off, _ = excluded_outlier_texts(one)
-        print(f"left out: frame {frame}, {place}: {off}")
+        say(f"left out: frame {frame}, {place}: {off}")
     if len(report.left_out) > MENTIONED:
-        print(f"left out: {len(report.left_out) - MENTIONED} more outlying rows; see left_out")
+        say(f"left out: {len(report.left_out) - MENTIONED} more outlying rows; see left_out")
     if report.crowd is not None and report.findings:
-        print(outliers_not_excluded_sentence(report.crowd))
+        say(outliers_not_excluded_sentence(report.crowd))
     for what, fit in report.fits.items():
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
-        print(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
+        say(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
     if report.confounds is not None:
-        print(report.confounds.line())
+        say(report.confounds.line())
 
 
 def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:

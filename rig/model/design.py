@@ -307,7 +307,7 @@ class Target:
 class Design:
     """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; tilts : turns of the base by
     which gravity turns in it; tilt_sensors : on links of an arm, or on a platform; sensor : of its simulated cameras;
-    controller : None where nothing is driven"""
+    controller : None where nothing is driven; joint_names : of an arm's joints, in words, or none"""
 
     name: str
     gravity: Floats
@@ -324,10 +324,10 @@ class Design:
     experiment: Permission = Permission()
     tilts: tuple[BaseTilt, ...] = ()
     tilt_sensors: tuple[TiltSensor, ...] = ()
+    joint_names: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        counts = f"{len(self.cameras)} cameras, {len(self.targets)} targets"
-        return f"<Design: {self.name}, {self.mechanism.kind}, {counts}>"
+        return f"<Design: {self.name}, {self.mechanism.kind}, {len(self.cameras)} cameras, {len(self.targets)} targets>"
 
     def camera(self, name: str) -> Camera:
         """The camera of that name. Raises ValueError with the names there are."""

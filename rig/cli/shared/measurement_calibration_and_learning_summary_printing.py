@@ -1,5 +1,7 @@
 """Printed summaries of a measurement, of a calibration and of on-line learning."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.api.calibrate import CalibrationResult
@@ -21,6 +23,7 @@ from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
 from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
+from rig.report.axis_places_with_joint_names import text_with_joint_names
 from vision.api import MeasurementResult, camera_time_offset_and_readout_lines
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
 from vision.bundle.marker_and_target_displacements import Places
@@ -150,7 +153,7 @@ def print_calibration_verdict_errors_and_corrections(result: CalibrationResult) 
     if result.extended is not None:
         _print_extension(result.extended)
     elif isinstance(done, arm_certification.CertifiedArm):
-        _print_joints(done, result.calibration.physics)
+        _print_joints(done, result.calibration.physics, result.recording.design.joint_names)
         print("\n".join([*done.found.rank.report(), *tilt_report(result.samples.tilts, done.found.tilts)]))
         if result.pointing_terms is not None:
             print("\n".join(result.pointing_terms.report()))
@@ -267,7 +270,7 @@ def _print_workspace(calibration: Calibration) -> None:
         print(workspace_lines(calibration.workspace, mechanisms.travel_unit(calibration.correction.nominal))[0])
 
 
-def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None) -> None:
+def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None, joint_names: Sequence[str]) -> None:
     """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
     if done.held_out and done.geometry and done.scattered:
         retained = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
@@ -300,24 +303,28 @@ def _print_joints(done: arm_certification.CertifiedArm, physics: Physics | None)
             f"the same with single rows held out at random, which is optimistic: {mean * 1e3:.4f} {unit} mean, "
             f"{rms * 1e3:.4f} {unit} RMS"
         )
-    _print_physics(physics)
+    _print_physics(physics, joint_names)
 
 
-def _print_physics(physics: Physics | None) -> None:
+def _print_physics(physics: Physics | None, joint_names: Sequence[str] = ()) -> None:
     """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
     if physics is None:
         return
+
+    def say(line: str) -> None:
+        print(text_with_joint_names(line, joint_names))
+
     repeated, sizeless = physics.compensable_effects(), physics.sizeless_effects()
     known = [f"{e.label()} at {e.place}" for e in repeated if e not in sizeless]
-    print("effects compensated by commands: " + (", ".join(known) or "none"))
+    say("effects compensated by commands: " + (", ".join(known) or "none"))
     if sizeless:
         named = ", ".join(f"{e.label()} at {e.place}" for e in sizeless)
-        print(f"found, and of no size where the geometry is fitted with it, so that no command changes: {named}")
+        say(f"found, and of no size where the geometry is fitted with it, so that no command changes: {named}")
     left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in repeated]
     if left:
-        print(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
+        say(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
     for u in physics.unknown:
-        print(u.sentence())
+        say(u.sentence())
 
 
 def _print_pose_counts(result: CalibrationResult) -> None:

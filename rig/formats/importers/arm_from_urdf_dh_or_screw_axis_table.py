@@ -69,6 +69,7 @@ class ReadArm:
                 "joints = [",
                 *joints,
                 "]",
+                *([f"joint_names = {json.dumps(self.joint_names)}"] if self.joint_names != arm.axes else []),
                 "limits = [",
                 *limits,
                 "]",

@@ -137,11 +137,24 @@ def design_of_entries(root: Entries) -> Design:
         else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
         tilts=tuple(base_tilt_of_table(entry) for entry in environment.tables("tilt")),
+        joint_names=_joint_names(root.table("mechanism"), mechanism) if has_links(mechanism) else (),
         tilt_sensors=_tilt_sensors(root.tables("tilt_sensor"), mechanism, gravity),
         experiment=camera_instrument_experiment_and_cube_turn_entries.experiment_permission(
             root.table("experiment", optional=True), targets
         ),
     )
+
+
+def _joint_names(table: Entries, arm: Mechanism) -> tuple[str, ...]:
+    """Names of an arm's joints in other files, () where none are stated. Raises FileError for another number."""
+    if table.get("joint_names", None) is None:
+        return ()
+    names = table.texts("joint_names")
+    if len(names) != len(arm.axes):
+        table.fail(
+            f"{table.name('joint_names')} must name each of the {len(arm.axes)} joints, not {len(names)}", "joint_names"
+        )
+    return names
 
 
 def _actuator(table: Entries) -> Actuator:

@@ -375,7 +375,7 @@ def _chain(table: Entries) -> Chain:
 
 
 def _arm(table: Entries) -> Arm:
-    table.refuse_misspelt(("kind", "joints", "limits", "base", "tool", "branch", "hand", "coupling"))
+    table.refuse_misspelt(("kind", "joints", "joint_names", "limits", "base", "tool", "branch", "hand", "coupling"))
     joints, slides = joint_rows_and_kinds(table)
     stands = {key: table.pose(key) for key in Arm.placements if key in table.tree}
     branches = branches_of_tables(table, len(joints))
