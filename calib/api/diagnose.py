@@ -136,7 +136,11 @@ class DiagnosisResult(OneLineRepr):
     def write_page(self, path: Path, links: Sequence[Link] = ()) -> None:
         """Write the page of it."""
         write_diagnosis_page(
-            path, self.report, figures_of_arm_or_platform(self.found, self.recording, self.report), links
+            path,
+            self.report,
+            figures_of_arm_or_platform(self.found, self.recording, self.report),
+            links,
+            self.recording.design.joint_names,
         )
 
     def next_experiment(

@@ -15,6 +15,7 @@ from calib.diagnosis.report.diagnosis_report_verdict_and_json_folder import Repo
 from calib.report.pose_and_effect_figures import effect_sketch
 from rig.effects.catalogue.effect_list import BY_NAME
 from rig.recording.recording_folder import Recording
+from rig.report.axis_places_with_joint_names import text_with_joint_names
 from rig.report.pages.html_and_svg_elements import (
     collapsible_section_html,
     figures_with_caption_html,
@@ -64,11 +65,15 @@ def figures_of_arm_or_platform(diagnosis: Diagnosis, recording: Recording, repor
 
 
 def write_diagnosis_page(
-    path: Path, report: Report, machine_figures: MachineFigures, links: Sequence[Link] = ()
+    path: Path,
+    report: Report,
+    machine_figures: MachineFigures,
+    links: Sequence[Link] = (),
+    joint_names: Sequence[str] = (),
 ) -> None:
     """Write the diagnosis page of a Report.
 
-    One offline HTML file.
+    One offline HTML file. joint_names : of an arm's joints in other files, which stand behind their numbers in headings
     """
     parts: list[str] = []
     main = report.mattering or report.named
@@ -91,7 +96,10 @@ def write_diagnosis_page(
             + diagnosis_sentences_and_table_rows.finding_size_text(finding)
             + diagnosis_sentences_and_table_rows.assumed_or_seen_before_suffix(finding)
         )
-        parts += [heading_html(f"{number + 1}. {title}"), *_finding(finding, machine_figures)]
+        parts += [
+            heading_html(f"{number + 1}. {text_with_joint_names(title, joint_names)}"),
+            *_finding(finding, machine_figures),
+        ]
     if slight:
         parts += [
             heading_html("Significant but negligible"),
@@ -102,7 +110,11 @@ def write_diagnosis_page(
             finding
         ) + diagnosis_sentences_and_table_rows.finding_size_text(finding)
         parts += [
-            heading_html(title + diagnosis_sentences_and_table_rows.assumed_or_seen_before_suffix(finding), 3),
+            heading_html(
+                text_with_joint_names(title, joint_names)
+                + diagnosis_sentences_and_table_rows.assumed_or_seen_before_suffix(finding),
+                3,
+            ),
             *_slight(finding),
         ]
     shown = machine_figures.in_space()
