@@ -177,9 +177,9 @@ def explaining_rigid_motion_text(verification: Verification) -> str:
         "separate the two"
     )
     return (
-        f"; the {WHERE[o.of]} has moved since it was calibrated: by {o.position * 1e3:.4f} mm, "
-        f"{o.rotation * 1e3:.4f} mrad; without "
-        f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}{zeros}"
+        f"; the {WHERE[o.of]} {'may have' if zeros else 'has'} moved since it was calibrated: "
+        f"by {o.position * 1e3:.4f} mm, {o.rotation * 1e3:.4f} mrad; without that motion "
+        f"the claim is {'kept' if o.kept else 'NOT kept either'}{zeros}"
     )
 
 

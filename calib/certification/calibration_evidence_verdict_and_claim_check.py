@@ -27,7 +27,7 @@ from calib.models.platform.platform_identification import inverse_strut_length_j
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.position_confounds_and_poses_on_one_clock import Confounds, confound_sentences
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
-from rig.model.mechanism_geometry_classes import Hexapod
+from rig.model.mechanisms.mechanism_kinds_and_kinematics import has_struts
 from rig.report.verdict_refutations_and_result_display import (
     LOOK,
     Evidence,
@@ -190,9 +190,7 @@ def verify_claim_on_samples(
     label = configuration_numbers(samples.commanded, axis_travel_limits(calibration.correction.nominal))
     fitted, predicted = calibration.correction.fitted, predicted_poses(calibration.correction, samples)
     by_lengths = (
-        inverse_strut_length_jacobian(predicted, fitted)
-        if isinstance(fitted, Hexapod) and samples.measured == "pose"
-        else None
+        inverse_strut_length_jacobian(predicted, fitted) if has_struts(fitted) and samples.measured == "pose" else None
     )
     return verify_claim(predicted, samples, label, calibration.claim, rng, by_lengths)
 

@@ -385,8 +385,7 @@ def _claim_in(table: Entries) -> Claim:
         numbers("ratio"),
         numbers("measured"),
         None if table.get("reason") is None else table.text("reason"),
-        table.texts("unexplained") if "unexplained" in table.tree else (),
-        table.texts("unrecorded") if "unrecorded" in table.tree else (),
+        *(table.texts(name) if name in table.tree else () for name in ("unexplained", "unrecorded")),
     )
 
 
