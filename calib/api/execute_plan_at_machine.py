@@ -323,10 +323,12 @@ def _origin(journal: Journal, clock: Clock, notice: Notice) -> float:
 
 
 def _hash(planned: tuple[Step, ...]) -> str:
-    """sha256 of the places and exposures of a plan, and of the speed of exposures in motion."""
+    """sha256 of the places, exposures and rests of a plan, and of the speed of exposures in motion."""
     digest = hashlib.sha256()
     for step in planned:
         digest.update(np.round(step.goal, 9).tobytes() + step.frames.to_bytes(4, "little"))
         if step.speed is not None:
             digest.update(f"in motion at {step.speed:.9f}".encode())
+        if step.rests:
+            digest.update(f"rests {[round(rest, 3) for rest in step.rests]}".encode())
     return digest.hexdigest()

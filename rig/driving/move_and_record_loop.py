@@ -1,7 +1,4 @@
-"""Loop of a run that moves and records.
-
-Move, settle, grab, journal; each journal row is on disk before the next move.
-"""
+"""Loop of a run: move, settle, grab, journal; each journal row is on disk before the next move."""
 
 import threading
 from collections.abc import Callable
@@ -52,8 +49,7 @@ from rig.driving.run_steps_from_plan_and_progress_from_journal import (
 from rig.errors import MotionError, RigError, Stopped
 from rig.formats.output_files.atomic_file_writing_and_process_locks import sync_folder
 
-REST_POLL, READ_EVERY = 0.5, 30.0  # s between looks whether a rest is to stop, between readings of sensors meanwhile
-TICK = 1e-3  # s that a rest may be shorter
+REST_POLL, READ_EVERY, TICK = 0.5, 30.0, 1e-3  # s between looks whether a rest is to stop, and readings; of no rest
 ENTRY_POLL = 0.1  # s between looks whether an operator who is asked has stopped the run
 
 
@@ -218,26 +214,28 @@ class RunOperator:
     def _do(self, state: Progress) -> None:
         """One step from the present position: the move unless it is done, the missing frames."""
         step = self.planned[state.step]
-        if step.frames and state.frames >= step.frames:
-            return  # wherever the struts stand by now, and the rest after them is not made up for
+        if step.frames and state.frames >= step.frames:  # wherever the struts stand by now
+            return self._rest(step.rest_before(step.frames))
         if not state.arrived:
             self._wanted()
             if step.speed is None:
                 self._move(state.step, state.position, step.goal)
             else:
                 self._move_exposing(self._begin(state), step.goal, step.speed)
-        number, since = state.number, self.now()
+        number = state.number
         for k in range(state.frames, step.frames):
             self._wanted()
-            self._rest(since, step.rest_before(k))
+            self._rest(step.rest_before(k))
             frame = number + k - state.frames
             self._expose(state.step, frame, self._settle(frame, step.goal))
-            since = self.now()
-        self._rest(since, step.rest_before(step.frames))
+        self._rest(step.rest_before(step.frames))
 
-    def _rest(self, since: float, seconds: float) -> None:
-        """Stand as long as the plan does (s), counted since a time (s), with the sensors' readings meanwhile."""
+    def _rest(self, seconds: float) -> None:
+        """Stand as long as the plan does (s) since the last arrival or exposure on record, and read sensors."""
+        since = next((row.t for row in reversed(self._journal.rows) if isinstance(row, Arrival | Exposed)), self.now())
         end, looked = since + seconds, self.now()
+        if end - looked > TICK:
+            self.remark(f"rests for {end - looked:.0f} s, as the plan does")
         while (left := end - self.now()) > TICK:
             self._wanted()
             if self.now() - looked >= READ_EVERY:

@@ -91,21 +91,20 @@ def residual_dispersion(
     freed = (pushed.reshape(F * a, q) @ half).reshape(F, a, rank) - along
     left, right = np.concatenate([seen, -along], axis=1), np.concatenate([freed, seen], axis=1)
 
-    def shares(starts: Integers) -> Floats:
-        """(groups, r, r) of the directions, nuisances taken out, of frames from starts on, as many in each group."""
-        count = len(starts), -(-F // len(starts)) * left.shape[1], rank
+    def shares(together: int) -> Floats:
+        """(groups, r, r) of the directions, nuisances taken out, of so many frames together."""
+        count = -(-F // together), together * left.shape[1], rank
         a, b = np.zeros(count).reshape(-1, rank), np.zeros(count).reshape(-1, rank)
         a[: F * left.shape[1]], b[: F * left.shape[1]] = left.reshape(-1, rank), right.reshape(-1, rank)
-        return np.asarray(
-            np.swapaxes(a.reshape(count), 1, 2) @ b.reshape(count) + np.add.reduceat(carried, starts, axis=0)
-        )
+        rest = np.add.reduceat(carried, np.arange(0, F, together), axis=0)
+        return np.asarray(np.swapaxes(a.reshape(count), 1, 2) @ b.reshape(count) + rest)
 
-    starts = np.arange(0, F, correlated_frames)
-    expected, freedom = _expected(shares(starts))
-    if correlated_frames > 1 and freedom < FEW:
-        starts = np.arange(F)
-        expected, freedom = _expected(shares(starts))
-    contributions = np.add.reduceat(contributions, starts, axis=0)
+    together = correlated_frames
+    expected, freedom = _expected(shares(together))
+    if together > 1 and freedom < FEW:
+        together = 1
+        expected, freedom = _expected(shares(together))
+    contributions = np.add.reduceat(contributions, np.arange(0, F, together), axis=0)
     if expected < SWALLOWED * rank:  # one frame shows it all, and nothing of how frames differ
         return Dispersion(1.0, 1.0)
     ratio = float((contributions**2).sum()) / expected

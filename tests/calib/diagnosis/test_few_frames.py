@@ -33,6 +33,37 @@ FRAMES, ROWS, DRAWS = 30, 14, 500  # of a camera, numbers that each shows, world
 KNOCK = "motion=3e-5/-4e-5/-1e-5/5e-5/-7e-5/0"
 
 
+@pytest.mark.parametrize("frames, together", [(30, 5), (16, 5), (23, 6), (31, 8)])
+def test_frames_taken_together_are_sums_over_them(frames, together):
+    """The dispersion of groups of frames, the last one shorter, is that of as many longer frames."""
+    rng = np.random.default_rng(frames)
+    looks = rng.normal(size=(frames, ROWS, 3))
+    y = (
+        rng.normal(size=(frames, ROWS))
+        + np.repeat(rng.normal(size=(-(-frames // together), ROWS)), together, axis=0)[:frames]
+    )
+
+    def dispersion(edges, correlated):
+        F = len(edges) - 1
+        parts = [slice(a, b) for a, b in zip(edges, edges[1:])]
+        model = LinearModel(
+            (Block("corners", "px", y.ravel(), ROWS * np.asarray(edges)),),
+            Column((np.zeros((y.size, 0)),)),
+            None,
+            y.size,
+        )
+        beta = np.array([np.einsum("fma,fm->a", looks[part], y[part]) for part in parts])
+        gamma = np.array([np.einsum("fma,fmb->ab", looks[part], looks[part]) for part in parts])
+        products = FrameProducts(beta, gamma, np.zeros((F, 3, 0)))
+        weights = np.broadcast_to(np.eye(3), (F, 3, 3))
+        coefficients = np.linalg.solve(gamma.sum(axis=0), beta.sum(axis=0))
+        return residual_dispersion(model, products, weights, coefficients, correlated)
+
+    grouped = dispersion(np.arange(frames + 1), together)
+    summed = dispersion([*range(0, frames, together), frames], 1)
+    assert grouped == pytest.approx(summed, rel=1e-9)
+
+
 def chance(after, y, looks):
     """p-value of a camera's step before the last frames `after`. y : (F, m) whitened residuals; looks : (F, m, 6)
     derivatives

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from rig.driving.run_journal import Arrival, Departure, Ended, Exposed, Resumed, read_journal_rows_and_valid_length
-from rig.driving.run_steps_from_plan_and_progress_from_journal import require_all_steps_permitted, steps_of_plan
+from rig.driving.run_steps_from_plan_and_progress_from_journal import (
+    require_all_steps_permitted,
+    steps_of_plan,
+    steps_with_exposures_in_motion,
+)
 from rig.errors import ControllerFault, MotionError, RigError, Stopped, Unreachable
 from rig.formats.rig_toml import design_from_rig_toml
 from rig.planning.layout import hexapod_layout_and_camera_placement
@@ -205,9 +209,19 @@ def test_a_rest_of_the_plan_ends_when_the_run_is_to_stop(rig, tmp_path, monkeypa
     with pytest.raises(Stopped, match="asked to"):
         room.process()
     assert room.clock.now() < begun + 305
+    first = room.onlooker.shots[0].t
     monkeypatch.setattr(Onlooker, "stop", lambda self: "")
+    room.clock.sleep(100.0)  # until the run is resumed
     room.process()
-    assert len(room.onlooker.shots) == 1  # the other was taken before the rest
+    (second,) = room.onlooker.shots  # the first was taken before the rest, of which it rests what is left
+    assert 1200 <= second.t - first < 1260
+
+
+def test_a_place_passed_on_the_way_is_left_when_the_plan_leaves_it_and_in_motion_too(rig):
+    steps = steps_of_plan(build_plan(rig, "sobol:1,wait:20,sobol:1", 1))
+    in_motion = steps_with_exposures_in_motion(steps, 0.005, np.full(6, 0.02))
+    assert sum(sum(step.rests) for step in steps) == sum(sum(step.rests) for step in in_motion) > 1200
+    assert all(len(step.rests) == 1 for step in in_motion if step.rests)
 
 
 def test_every_place_is_checked_before_anything_moves(rig):

@@ -61,7 +61,7 @@ class Refinement(FieldSummaryRepr):
     values: Floats
     covariance: Floats
     column: Column | None
-    _last_without: list[tuple[int, Sensitivities, "Refinement"]] = field(default_factory=list)
+    _last_without: list[tuple[int, Sensitivities, "Refinement"]] = field(default_factory=list, init=False)
 
     def without_term(self, number: int, sensitivities: Sensitivities) -> "Refinement":
         """Refinement without an admitted effect, standing corners at this one's covariance; the last one asked for is
