@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_base_class import Effect
+from rig.effects.framework.effect_base_class import LINEAR, Effect
 from rig.effects.framework.parameters_covariates_and_marker_table import Parameter
 from rig.formats.checked_toml_and_json_entries import NAME
 from rig.formats.local_and_remote_input_files import short_repr
@@ -70,6 +70,11 @@ class Coordinate:
     step: float
     bounds: tuple[float, float]
     loose: float
+
+    @property
+    def is_size(self) -> bool:
+        """Whether the effect does nothing where all such coordinates are 0."""
+        return self.role in (*LINEAR, "size")
 
     def read(self, effect: Effect) -> float:
         """The coordinate's value: the parameter, its reciprocal or its logarithm."""

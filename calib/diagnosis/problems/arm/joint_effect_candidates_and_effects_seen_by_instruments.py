@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from scipy.special import chdtrc
 
 from calib.diagnosis.engine.candidate_scores_and_their_significance import Score
-from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import Candidate, Node, NotTested
+from calib.diagnosis.engine.candidate_selection_policy_and_outlier_data_types import ARM, Candidate, Node, NotTested
 from calib.diagnosis.engine.cross_validation_and_chance_probabilities import Z95
 from calib.diagnosis.problems.arm.linearised_poses_and_whitened_columns import Arms
 from calib.diagnosis.problems.arm.minimum_pose_count_for_candidates import (
@@ -318,7 +319,8 @@ def findings_of_effects_fitted_before_search(
 ) -> tuple[MeasuredFinding, ...]:
     """Findings of effects that were fitted before the search.
 
-    They have 95 % intervals; of a lean its RMS is first.
+    They have 95 % intervals; of a lean its RMS is first. One of a size that chance explains is none, by the
+    policy's alpha, as of what is searched for.
     found : effects that the search found, with which they are fitted anew: beside these they may be other ones. One
         that cannot be separated from these is left out
     """
@@ -328,6 +330,8 @@ def findings_of_effects_fitted_before_search(
     coordinates, sigma = fit_coordinates_of_effects(fit.effects), np.sqrt(np.diag(fit.own))
     for number, effect in enumerate(fit.effects[:count]):
         if shares_angle_with_another_effect(effect, found):
+            continue
+        if _chance_of_sizes(fit, number) * count > ARM.alpha:
             continue
         parameters = dict[str, Value]()
         before, after = fit.measured.tilts, fit.samples.tilts
@@ -345,3 +349,19 @@ def findings_of_effects_fitted_before_search(
                 parameters[parameter.name] = Value(read.tolist(), unit, low_high.tolist())
         out.append(MeasuredFinding(type(effect), effect.place, parameters))
     return tuple(out)
+
+
+def _chance_of_sizes(fit: JointFit, number: int) -> float:
+    """Probability of the fitted sizes of an effect, by its number, where it has none: chi-squared by their covariance,
+    in the directions that are determined. 1 of an effect whose sizes are all 0.
+    """
+    coordinates = fit_coordinates_of_effects(fit.effects)
+    own = [k for k, c in enumerate(coordinates) if c.effect == number and c.is_size]
+    values = np.array([coordinates[k].read(fit.effects[number]) for k in own])
+    if not values.any():
+        return 1.0
+    covariance = fit.own[np.ix_(own, own)]
+    sigma = np.sqrt(np.diag(covariance))
+    scaled = covariance / sigma[:, None] / sigma
+    rank = np.linalg.matrix_rank(scaled, hermitian=True)
+    return float(chdtrc(rank, values / sigma @ np.linalg.pinv(scaled, hermitian=True) @ (values / sigma)))

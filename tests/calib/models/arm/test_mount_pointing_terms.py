@@ -178,6 +178,15 @@ def test_flexure_of_the_tube_is_found_as_itself_and_doubts_no_calibration(tmp_pa
     assert low < TRUE["TF"] < high
 
 
+@pytest.mark.parametrize("seed", [11, 12])
+def test_no_flexure_of_the_tube_is_no_finding(tmp_path, monkeypatch, seed):
+    """It is fitted first all the same; an interval of it that includes 0 doubts no calibration."""
+    monkeypatch.setitem(TRUE, "TF", 0.0)
+    diagnosed = diagnose(starred(tmp_path / "rec", seed, 100))
+    assert diagnosed.report.findings == ()
+    assert diagnosed.verdict.rests_on == ("3 rows agree with no others and were left out",)
+
+
 def test_flexure_is_not_stated_where_another_function_of_elevation_hides_it(tmp_path):
     """6 arc seconds over tan E, in no catalogue: flexure fitted without it, or beside it, would be a wrong figure."""
     recording = starred(tmp_path / "rec", 12, 120, extra=lambda q: 9 * ARCSEC / np.tan(q[:, 1]))
