@@ -18,7 +18,7 @@ from calib.correction.machine_correction import AnyCorrection
 from calib.correction.timed_command_sequence_and_pose_space_correction_map import Route
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from rig.array_and_json_types import Floats
-from rig.effects.framework.effect_base_class import LINEAR, MOTION_STAGES, Effect
+from rig.effects.framework.effect_base_class import MOTION_STAGES, Effect
 from rig.effects.framework.effect_checks_and_fit_coordinates import Coordinate, fit_coordinates_of_effects
 from rig.effects.framework.unmodelled_curve_and_formula_quantities import TIME
 from rig.errors import NotConverged, RigError
@@ -149,18 +149,18 @@ class Physics:
         return float(np.hypot(own, ANOTHER_DAY)) if channel.endswith("temperature_C") else own
 
     def compensable_effects(self) -> tuple[Effect, ...]:
-        """The effects of the machine's motion that it shows again, so that commands undo them."""
-        return tuple(e for e in self.effects if e.lasting and e.stage in MOTION_STAGES)
+        """The effects of the machine's motion that it shows again, and that have a size, so that commands undo them."""
+        return tuple(e for e in self._lasting_motion_effects() if not _has_no_size(e))
 
     def sizeless_effects(self) -> tuple[Effect, ...]:
-        """Those of the compensable effects that have no size where the geometry is fitted with them: nothing is undone
-        of them.
+        """Those like compensable effects, but of no size where the geometry is fitted with them: nothing is undone of
+        them.
         """
-        sizes = {
-            e: [c.read(e) for c in fit_coordinates_of_effects((e,)) if c.role in (*LINEAR, "size")]
-            for e in self.compensable_effects()
-        }
-        return tuple(e for e, values in sizes.items() if values and not any(values))
+        return tuple(e for e in self._lasting_motion_effects() if _has_no_size(e))
+
+    def _lasting_motion_effects(self) -> tuple[Effect, ...]:
+        """The effects of the machine's motion that it shows again."""
+        return tuple(e for e in self.effects if e.lasting and e.stage in MOTION_STAGES)
 
     def scattering(self) -> tuple[Effect, ...]:
         """Those that it shows again, at no moment that anybody knows: what happened once is over."""
@@ -176,6 +176,12 @@ class Physics:
         """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
         sensed, _ = self.sensed(sensors, samples.t)
         return samples_with_effects(self.machine(mechanism), samples, commands, self.compensable_effects(), sensed)
+
+
+def _has_no_size(effect: Effect) -> bool:
+    """Whether an effect changes nothing: every parameter that gives it its size is 0."""
+    sizes = [c.read(effect) for c in fit_coordinates_of_effects((effect,)) if c.is_size]
+    return bool(sizes) and not any(sizes)
 
 
 def samples_with_effects(

@@ -226,9 +226,10 @@ def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]
     stands : effects -> (n, 6), of which differences tell how the machine moves between them
     """
     out = np.zeros((*stands(()).shape, len(physics.coordinates)))
+    acting = (*of.effects, *physics.sizeless_effects())  # a size of 0 is uncertain as well
     for i, c in enumerate(physics.coordinates):
         effect = physics.effects[c.effect]
-        if effect in of.effects:
+        if effect in acting:
             ends, between = c.ends_of(physics.effects, of.effects)
             out[..., i] = (stands(ends[0]) - stands(ends[1])) / between
     return out

@@ -315,12 +315,12 @@ def _print_physics(physics: Physics | None, joint_names: Sequence[str] = ()) -> 
         print(text_with_joint_names(line, joint_names))
 
     repeated, sizeless = physics.compensable_effects(), physics.sizeless_effects()
-    known = [f"{e.label()} at {e.place}" for e in repeated if e not in sizeless]
+    known = [f"{e.label()} at {e.place}" for e in repeated]
     say("effects compensated by commands: " + (", ".join(known) or "none"))
     if sizeless:
         named = ", ".join(f"{e.label()} at {e.place}" for e in sizeless)
         say(f"found, and of no size where the geometry is fitted with it, so that no command changes: {named}")
-    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in repeated]
+    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in (*repeated, *sizeless)]
     if left:
         say(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
     for u in physics.unknown:
