@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.special import chdtrc
 
 from rig.array_and_json_types import Floats, Json
 from rig.model.pose import exp, skew
@@ -66,6 +67,20 @@ class Placement:
             PlacementPart.of(T.rotation.as_rotvec(), own[3:, 3:]),
         )
 
+    def stands_elsewhere(self, end: int) -> bool | None:
+        """Whether chance does not explain that an end stands elsewhere; None where that is not determined.
+
+        Of a position that is open in some directions, what is determined decides: in these the other end may have moved
+        in its place.
+        """
+        position, rotation = self.parts(end)
+        if position.directions == 3:
+            return self.moved[end]
+        known = [part.p_value for part in (position, rotation) if part.directions]
+        if known and len(known) * min(known) < ALIKE:
+            return True
+        return None if any(self.moved) or not position.directions else False
+
     def shift(self) -> "PlacementPart":
         """By how much base and tool together displace the target, in the middle of the poses."""
         rows = np.hstack([np.eye(3), -skew(self.centre - self.origin), self.turn, np.zeros((3, 3))])
@@ -73,15 +88,15 @@ class Placement:
         return PlacementPart.of(moved + self.turn @ self.tool.translation, rows @ self.covariance @ rows.T)
 
     def entry(self) -> Json:
-        """What JSON holds: of each estimated end, whether it stands elsewhere and by how much, U with k = 2, of the
-        directions that the poses determine, None where these are none.
+        """What JSON holds: of each estimated end, whether it stands elsewhere, None where that is not determined, and
+        by how much, U with k = 2, of the directions that the poses determine, None where these are none.
         """
         out: Json = {}
         for end, name in enumerate(ENDS):
             if self.ends[end]:
                 position, rotation = self.parts(end)
                 out[name] = {
-                    "stands_elsewhere": self.moved[end],
+                    "stands_elsewhere": self.stands_elsewhere(end),
                     "p_value": self.p_values[end],
                     "position": position.entry(),
                     "rotation": rotation.entry(),
@@ -107,9 +122,11 @@ class Placement:
             within = f"{' and '.join(U for _, U in known)} (k = 2)"
             if not known:
                 out += [] if out else [f"these poses do not determine where the {name} stands"]
+            elif texts[0] is None and not self.stands_elsewhere(end):
+                out.append(f"the {name} stands as it stood in rotation, to +- {within}")
             elif texts[0] is None:
                 out.append(f"the {name} is turned by {known[0][0]}, +- {within}")
-            elif self.moved[end]:
+            elif self.stands_elsewhere(end):
                 out.append(f"the {name} stands elsewhere: by {' and '.join(size for size, _ in known)}, +- {within}")
             else:
                 out.append(f"the {name} stands where it stood, to +- {within}")
@@ -120,11 +137,13 @@ class Placement:
 class PlacementPart:
     """A displacement's position, m, or rotation, rad. size, U : its length and expanded uncertainty (k = 2), in
     the directions that the poses determine; directions : how many of the three they are, 0 of what was not estimated
+    p_value : of so much in these by chance, 1 without any
     """
 
     size: float
     U: float
     directions: int
+    p_value: float = 1.0
 
     @staticmethod
     def of(vector: Floats, covariance: Floats) -> "PlacementPart":
@@ -136,7 +155,8 @@ class PlacementPart:
         if not known.shape[1]:
             return PlacementPart(np.nan, np.nan, 0)
         vector, covariance = known.T @ vector, known.T @ covariance @ known
-        return PlacementPart(float(np.linalg.norm(vector)), 2 * _along(vector, covariance), known.shape[1])
+        chance = float(chdtrc(known.shape[1], vector @ np.linalg.solve(covariance, vector)))
+        return PlacementPart(float(np.linalg.norm(vector)), 2 * _along(vector, covariance), known.shape[1], chance)
 
     def texts(self, unit: str) -> tuple[str, str] | None:
         """(size, U) in mm or mrad, None where nothing is determined."""
