@@ -143,15 +143,15 @@ def test_a_verification_names_what_stands_elsewhere(tmp_path, ends):
     origin = calibration.correction.fitted.base.translation
     far = np.linalg.norm(motion[:3, :3] @ origin + motion[:3, 3] - origin)
     for found in (base, hand):
-        size, turned, *U = found.placement.sizes(0)
-        assert abs(size - far) < 1.5 * U[0] < 1e-4  # U is twice the standard uncertainty
-        assert abs(turned - np.linalg.norm(NEAR[0][3:])) < 1.5 * U[1] < 1e-4
+        position, rotation = found.placement.parts(0)
+        assert abs(position.size - far) < 1.5 * position.U < 1e-4  # U is twice the standard uncertainty
+        assert abs(rotation.size - np.linalg.norm(NEAR[0][3:])) < 1.5 * rotation.U < 1e-4
         assert found.figures.held.after.position[0] == pytest.approx(noise, rel=0.05)
         assert found.figures.found.kept and "the base stands elsewhere: by" in found.figures.displacement[0]
         assert ("the base stands elsewhere" in found.verdict.line) == stated
-        assert found.tree()["placement"]["base"]["position"]["value"] == size
-    size, turned, *U = hand.placement.sizes(1)
-    assert abs(turned - 1e-2) < 1.5 * U[1] < 1e-4
+        assert found.tree()["placement"]["base"]["position"]["value"] == position.size
+    _, rotation = hand.placement.parts(1)
+    assert abs(rotation.size - 1e-2) < 1.5 * rotation.U < 1e-4
 
 
 @pytest.mark.slow
