@@ -1,10 +1,12 @@
 """What geometry and physics may exchange is no error of a stated machine: slides out of square, and coupled."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.api.calibrate import CalibrateOptions, calibrate
 from calib.api.diagnose import diagnose
+from calib.samples.commanded_and_measured_pose_samples import sample_recording
 from rig.recording import recording_folder
 
 RIG = """schema = "rig/1"
@@ -21,10 +23,13 @@ position_sigma = 5e-6
 COUNT, SIGMA, BOW = 120, 5e-6, 25e-6
 
 
-def recorded(folder):
-    """(Recording, RMS error m of the stated slides) of a gantry out of square, whose third slide runs along a bow."""
-    rng = np.random.default_rng(1)
-    q = rng.uniform(0, [0.5, 0.4, 0.76], (COUNT, 3))
+def recorded(folder, seed=1, middle=1.0, noise=SIGMA):
+    """(Recording, RMS error m of the stated slides) of a gantry out of square, whose third slide runs along a bow.
+
+    middle : share of the travels that is visited; noise : m, of the positions
+    """
+    rng = np.random.default_rng(seed)
+    q = (0.5 + middle * rng.uniform(-0.5, 0.5, (COUNT, 3))) * [0.5, 0.4, 0.76]
     # directions of slides at right angles, as the rows have them: z, then y, then x of the base
     stated = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     true = stated + np.array([[0.0, 0.0, 0.0], [1.8e-4, 0.0, 9e-5], [0.0, 0.0, 2.5e-4]])
@@ -34,7 +39,7 @@ def recorded(folder):
     off = off - off.mean(axis=0)
     turn = np.linalg.lstsq(_turns(q @ stated), off.ravel(), rcond=None)[0]
     rms = np.sqrt(((off.ravel() - _turns(q @ stated) @ turn) ** 2).sum() / COUNT)
-    seen = Rotation.from_rotvec([0.2, -0.1, 1.1]).apply(p) + [0.8, -0.5, 0.2] + rng.normal(0, SIGMA, p.shape)
+    seen = Rotation.from_rotvec([0.2, -0.1, 1.1]).apply(p) + [0.8, -0.5, 0.2] + rng.normal(0, noise, p.shape)
     (folder / "rig.toml").write_text(RIG)
     rows = [f"{i},{10 * i + 5},,\n" for i in range(COUNT)]
     (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(rows))
@@ -51,13 +56,22 @@ def _turns(p):
 
 
 def test_the_error_before_is_that_of_the_machine_and_not_of_its_geometry_alone(tmp_path):
-    recording, rms = recorded(tmp_path)
+    recording, _ = recorded(tmp_path)
     diagnosed = diagnose(recording)
     assert [f.effect for f in diagnosed.report.findings] == ["axis_coupling"]
     (tmp_path / "found").mkdir()
     diagnosed.write(tmp_path / "found")
-    claim = calibrate(recording, CalibrateOptions(diagnosis=tmp_path / "found")).calibration.claim
-    assert claim.before[0][0] < 1.5 * rms
+    calibration = calibrate(recording, CalibrateOptions(diagnosis=tmp_path / "found")).calibration
+    claim = calibration.claim
+    assert claim.workspace.startswith("the middle 80 %")
+    (tmp_path / "new").mkdir()
+    new, before = recorded(tmp_path / "new", 2, 0.8, 0.0)
+    samples = calibration.with_physics(new, sample_recording(new).samples)
+    left = calibration.correction.predict(samples.effective).translation - samples.T_base_platform.translation
+    after = np.sqrt((left**2).sum(axis=1).mean())
+    assert 0.9 * before < claim.before[0][0] < 1.1 * before
+    assert claim.ratio[1] < before / after < claim.ratio[2]
+    assert claim.ratio[0] == pytest.approx(claim.before[0][0] / claim.after[0][0], rel=0.1)
 
 
 def test_the_size_of_a_coupling_is_without_what_squareness_explains(tmp_path):
