@@ -14,14 +14,12 @@ from calib.certification.held_out_pose_errors_and_distinct_configurations import
 from calib.certification.iso230_and_iso9283_tests import AxisTest, Iso9283
 from calib.certification.pose_error_promise_and_conformity import Cell, Conformity, Promise
 from calib.certification.uncertainty_budget import Budget
-from calib.samples.position_confounds_and_poses_on_one_clock import Confounds
+from calib.samples.position_confounds_and_poses_on_one_clock import ONE_SIDE, Confounds, approach_text
 from rig.array_and_json_types import Floats, Json
 from rig.model import mechanisms
 from rig.model.mechanisms.mechanism_kinds_and_kinematics import Commanded
 from rig.recording.recording_folder import LIMB, PAYLOAD, Recording
 from rig.report.verdict_refutations_and_result_display import Evidence
-
-ONE_SIDE = "every axis from one side"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +61,9 @@ class Conditions:
     frame: str
 
     @property
-    def one_sided(self) -> bool:
-        """Whether every axis came to all poses from one side, the same for all."""
-        return self.approach == ONE_SIDE
+    def one_sided(self) -> str:
+        """The approach in words where every axis or some came to nearly all poses from one side; "" where none did."""
+        return self.approach if self.approach.startswith(ONE_SIDE) else ""
 
 
 def ranges_of_measured_positions_rotations_and_axes(poses: HeldPoses, mechanism: Commanded) -> Volume:
@@ -126,23 +124,14 @@ def measuring_conditions(poses: HeldPoses, recordings: Sequence[Recording], sour
         REST,
         tuple(c for c in channels if c[0] != PAYLOAD),
         payload,
-        _approach(poses),
+        approach_text(
+            poses.commanded[poses.first], poses.before[poses.first], mechanisms.axis_place_texts(design.mechanism)
+        ),
         min(first),
         sum(spans),
         seen,
         frame,
     )
-
-
-def _approach(poses: HeldPoses) -> str:
-    signs = poses.before[poses.first]
-    moved = signs[(signs != 0).any(axis=1)]
-    if not len(moved):
-        return "not determined by the commands"
-    sides = [set(column[column != 0].tolist()) for column in moved.T]
-    if all(len(side) < 2 for side in sides):
-        return ONE_SIDE
-    return "from both sides" if all(len(side) == 2 for side in sides) else "some axes from both sides, some from one"
 
 
 @dataclass(frozen=True, slots=True)

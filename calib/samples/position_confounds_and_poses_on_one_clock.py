@@ -38,6 +38,8 @@ REMEDY = "; record poses in a balanced order, as --plan sobol:N of `rig run` and
 CHANCE = 1e-3  # probability, over all rows, below which a share is no chance
 EVEN = 60.0  # s between configurations of a plan that states no times, long enough for any drift
 SPARE = 3  # configurations beyond the functions of place, without which nothing is stated
+ONE_SIDED, SEVERAL = 0.9, 5  # share of the poses that an axis came to from one side; of so many at least
+ONE_SIDE = "from one side"
 VARIES = {TIME: 60.0, LOAD: 1e-6, "temperature": 0.05}  # s, kg, K: range below which a cause counts as constant
 
 
@@ -61,8 +63,8 @@ class Confound:
 @dataclass(frozen=True, slots=True)
 class Confounds:
     """Of n poses. rows : Confound of every axis and every cause that varied; constant : causes that never varied, of
-    which nothing can be estimated ("direction of approach on strut 2"); unjudged : causes for which there are too few
-    poses"""
+    which nothing can be estimated, and directions of axes that came from one side to nearly all poses ("direction of
+    approach on strut 2"); unjudged : causes for which there are too few poses, and directions that are not known"""
 
     n: int
     rows: tuple[Confound, ...]
@@ -82,8 +84,8 @@ class Confounds:
 
     @property
     def one_sided(self) -> str:
-        """The axes that came to every pose from the same side, in words; "" where there is none. Play is then part of
-        each of their zeros, whatever its size.
+        """The axes that came to nearly all poses from the same side, in words; "" where there is none. Play is then
+        part of each of their zeros, whatever its size.
         """
         start = f"{DIRECTION} on "
         return _numbered([cause.removeprefix(start) for cause in self.constant if cause.startswith(start)])
@@ -195,16 +197,20 @@ def confounds_of_experimental_design(
     values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1; t : (n,) s; channels : {name: (n,)};
         axes : their places in words
     """
-    rows, constant, unjudged = [], [], []
+    constant = [f"{DIRECTION} on {axis}" for axis in one_sided_axes(values, direction, axes)]
+    rows, unjudged = [], []
     moved = [i for i in range(len(axes)) if np.ptp(values[:, i]) > 0]
     unit = np.zeros_like(values)
     unit[:, moved] = 2 * (values[:, moved] - values[:, moved].min(axis=0)) / np.ptp(values[:, moved], axis=0) - 1
     shared = {TIME: t, **{LOAD if name == PAYLOAD else name: channel for name, channel in channels.items()}}
     for i in moved:
         for cause, values_of in {DIRECTION: direction[:, i], **shared}.items():
-            least = 0.0 if cause == DIRECTION else VARIES.get(cause, VARIES["temperature"])
-            if not np.ptp(values_of) > least:
-                constant.append(f"{cause} on {axes[i]}" if cause == DIRECTION else cause)
+            if cause == DIRECTION:
+                if len(set(values_of) - {0.0}) < 2:
+                    unjudged += [place for place in (f"{cause} on {axes[i]}",) if place not in constant]
+                    continue
+            elif not np.ptp(values_of) > VARIES.get(cause, VARIES["temperature"]):
+                constant.append(cause)
                 continue
             columns = [*unit[:, moved].T, unit[:, i] ** 2, *([np.sign(unit[:, i])] if cause == DIRECTION else [])]
             if len(t) < len(columns) + 1 + SPARE:
@@ -214,6 +220,31 @@ def confounds_of_experimental_design(
                 continue
             rows.append(Confound(axes[i], cause, *_shares(np.column_stack(columns), values_of)))
     return Confounds(len(t), tuple(rows), tuple(dict.fromkeys(constant)), tuple(unjudged))
+
+
+def one_sided_axes(values: Floats, direction: Floats, axes: Sequence[str]) -> list[str]:
+    """The axes that came to nearly all poses from the same side, of those that moved.
+
+    values : (n, axes) m or rad, configurations; direction : (n, axes) -1, 0, 1, where 0 is not known and not counted;
+        axes : their places in words
+    """
+    found = []
+    for i, axis in enumerate(axes):
+        below, above = int((direction[:, i] > 0).sum()), int((direction[:, i] < 0).sum())
+        several = below + above >= SEVERAL and max(below, above) >= ONE_SIDED * (below + above)
+        found += [axis] if several and np.ptp(values[:, i]) > 0 else []
+    return found
+
+
+def approach_text(values: Floats, direction: Floats, axes: Sequence[str]) -> str:
+    """From which side the axes came to poses, in words, of what `one_sided_axes` takes."""
+    moved = np.ptp(values, axis=0) > 0
+    if not ((direction[:, moved] != 0).sum(axis=0) >= SEVERAL).any():
+        return "not determined by the commands"
+    one = one_sided_axes(values, direction, axes)
+    if not one:
+        return "from both sides"
+    return f"{ONE_SIDE} {'by every axis' if len(one) == moved.sum() else f'on {_numbered(one)}'}"
 
 
 def _shares(columns: Floats, cause: Floats) -> tuple[float, float, float, float]:

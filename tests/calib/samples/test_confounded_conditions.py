@@ -10,6 +10,7 @@ from calib.samples.position_confounds_and_poses_on_one_clock import (
     LOAD,
     TIME,
     Confounds,
+    approach_text,
     confounds_of_experimental_design,
 )
 from rig.recording.recording_folder import PAYLOAD
@@ -75,3 +76,38 @@ def test_what_never_varied_is_named_and_too_few_poses_state_nothing() -> None:
     assert found.one_sided == "strut 1" and not confounds_of_experimental_design(*_design(), {}, AXES).one_sided
     few = confounds_of_experimental_design(values[:4], direction[:4], t[:4], {}, AXES)
     assert not few.rows and few.unjudged and "none can be estimated from 4 poses" in few.line()
+
+
+@pytest.mark.parametrize(
+    ("start", "expected"),
+    [
+        (0.0, "struts 1-6"),  # a log that begins at the first pose: nothing had moved before it
+        (-1.0, "struts 1-6"),  # one pose of 80 from the other side tells nothing of play
+    ],
+)
+def test_an_axis_that_comes_to_nearly_all_poses_from_one_side_is_one_sided(start: float, expected: str) -> None:
+    values, direction, t = _design(80)
+    direction[:] = 1.0
+    direction[0] = start
+    found = confounds_of_experimental_design(values, direction, t, {}, AXES)
+    assert found.one_sided == expected
+    assert approach_text(values, direction, AXES) == "from one side by every axis"
+
+
+def test_without_any_direction_nothing_is_said_of_sides() -> None:
+    values, direction, t = _design(80)
+    found = confounds_of_experimental_design(values, 0 * direction, t, {}, AXES)
+    assert found.one_sided == "" and f"{DIRECTION} on strut 1" in found.unjudged
+    assert approach_text(values, 0 * direction, AXES) == "not determined by the commands"
+
+
+def test_sides_of_a_few_poses_or_of_four_in_five_are_both() -> None:
+    values, direction, t = _design(80)
+    direction[:] = 1.0
+    few, mixed = direction.copy(), direction.copy()
+    few[4:] = 0.0
+    mixed[::5, 1:] = -1.0
+    assert confounds_of_experimental_design(values, few, t, {}, AXES).one_sided == ""
+    assert confounds_of_experimental_design(values, mixed, t, {}, AXES).one_sided == "strut 1"
+    assert approach_text(values, mixed, AXES) == "from one side on strut 1"
+    assert approach_text(*_design(80)[:2], AXES) == "from both sides"
