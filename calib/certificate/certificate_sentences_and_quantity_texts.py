@@ -72,7 +72,8 @@ def promise_line(certificate: Contents) -> str:
         else f"both {micrometre_text(p.position.upper)} and {_microradian_text(p.rotation.upper)}"
     )
     how_sure = f"With {_percentage_text(p.confidence)} confidence, {_percentage_text(p.coverage)} of poses"
-    approached = ", approached from one side by every axis as recorded," if certificate.conditions.one_sided else ""
+    one_sided = certificate.conditions.one_sided
+    approached = f", approached {one_sided} as recorded," if one_sided else ""
     return f"{how_sure} in this volume{approached} lie within {both} of their nominal places."
 
 
