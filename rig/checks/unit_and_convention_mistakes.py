@@ -3,6 +3,7 @@
 In sensor channels, environment values, commands and poses.
 """
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,6 +26,8 @@ COLDEST = -60.0
 GRAVITY = (9.75, 9.85)  # m/s^2 on the Earth's surface
 HEAVY = 30.0  # times the platform's mass
 TON = 2000.0  # kg; no load of a platform on struts whose mass nobody states
+TEMPERATURE = re.compile(r"(?i)(^|[_.-])temp(erature?)?[0-9]*([_.-]|$)")  # in a channel's name
+WANTED = re.compile(r"(?i)(^|[_.-])(set_?point|setp|set|sp|target|goal|demand|desired|nominal|limit)([_.-]|$)")
 COLDER = 0.4  # K by which exchanged channels differ from where they ought to be
 
 
@@ -51,7 +54,7 @@ def sensor_channel_unit_and_name_mistakes(log: Sensors, design: Design) -> Itera
                 0.6,
             )
     for name in log.channels:
-        if "temp" in name.lower() and not name.endswith("_temperature_C"):
+        if TEMPERATURE.search(name) and not WANTED.search(name) and not name.endswith("_temperature_C"):
             places = mechanisms.axis_place_texts(design.mechanism) if design.mechanism.axes else ()
             own = "".join(f" or {place.replace(' ', '')}_temperature_C, of its axis," for place in places[:1])
             yield Mistake(

@@ -102,3 +102,17 @@ def test_a_temperature_that_no_effect_follows_is_named_in_a_recording(tmp_path):
     design = imported(tmp_path).design
     (found,) = sensor_channel_unit_and_name_mistakes(Sensors(20.0 * np.arange(COUNT), {"arm_temp_C": WARM}), design)
     assert "arm_temp_C" in found.what and "ambient_temperature_C" in found.do and "joint1_temperature_C" in found.do
+
+
+@pytest.mark.parametrize(
+    "name, is_named",
+    [
+        *((name, False) for name in ("attempts", "template_score", "contempt", "temp_setpoint_C", "target_temp")),
+        *((name, True) for name in ("temp", "spindle_temp_C", "Temperature", "temp_1", "motor_temp2_C")),
+    ],
+)
+def test_a_temperature_is_a_whole_word_of_a_name_and_no_setpoint(tmp_path, name, is_named):
+    (tmp_path / "rig.toml").write_text(RIG)
+    log = Sensors(20.0 * np.arange(COUNT), {name: WARM})
+    found = list(sensor_channel_unit_and_name_mistakes(log, imported(tmp_path).design))
+    assert bool(found) == is_named and all(name in one.what for one in found)
