@@ -65,7 +65,7 @@ def read_sensors(table: ForeignTable, are_plausible: Callable[[Floats], bool], m
     found = column_indices_by_headers(cells, "sensors", TIME, ("t",))
     read_times = cells.times(found["t"], "sensors", table, are_plausible)
     channels, retained, lines = sensor_channels(
-        cells, [k for k in range(len(cells.header)) if k != found["t"]], mechanism
+        cells, [k for k in range(len(cells.header)) if k != found["t"]], mechanism, is_own_table=True
     )
     return ImportedSensors(
         read_times.seconds,
@@ -84,19 +84,22 @@ Channels = tuple[tuple[str, Floats], ...]  # (name, (n,) values) pairs
 
 
 def sensor_channels(
-    cells: Cells, columns: Sequence[int], mechanism: Mechanism
+    cells: Cells, columns: Sequence[int], mechanism: Mechanism, is_own_table: bool
 ) -> tuple[Channels, tuple[tuple[str, str], ...], tuple[str, ...]]:
     """(channels, pairs (name, header), sentences) of some columns of a table that are sensor channels.
 
-    columns : indices; mechanism : whose axes a temperature may be of
+    columns : indices; mechanism : whose axes a temperature may be of; is_own_table : whether the table is of sensors
+    alone, not of commands or poses
     Raises RigError for what cannot be a channel.
     """
     stated = {header: [ours for ours, other in cells.table.columns if other == header] for header in cells.header}
     channels: list[tuple[str, Floats]] = []
     retained, renamed = [], []
-    names_of = _channel_names([cells.header[at] for at in columns], mechanism)
+    names_of = _channel_names([cells.header[at] for at in columns], mechanism, is_own_table)
     for at in columns:
         header, unit = cells.header[at], cells.unit(at)
+        is_in_gravities = is_acceleration_in_gravities(header) and not any(n.endswith("_kg") for n in stated[header])
+        unit = None if is_in_gravities else unit
         values = TO_SI.get(unit or "", cast(Callable[[Floats], Floats], lambda v: v))(np.array(cells.numbers(at)))
         names = stated[header] or names_of[header]
         for name in names:
@@ -112,7 +115,9 @@ def sensor_channels(
                 )
             channels.append((name, values))
             retained.append((name, header))
-        if names != [header]:
+        if is_in_gravities:
+            renamed.append(f"{header} is {', '.join(names)}, not converted: g of an acceleration")
+        elif names != [header]:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")
             renamed.append(f"{header} is {', '.join(names)}" + (f", from {unit}" if converted else ""))
     lines = (f"{cells.path.name}: {'; '.join(renamed)}",) if renamed else ()
@@ -122,6 +127,7 @@ def sensor_channels(
 TEMPERATURE = r"(t|temp|temperatur|temperature|temperatura)"
 ROOM = r"(ambient|room|air|lab|laboratory|hall|raum|luft|umgebung|umgebungs|raumluft|halle|aire|ambiante|sala)"
 MACHINE = r"(arm|robot|roboter|robotarm|machine|maschine|maschinen|machina|maquina|gantry|portal|hexapod|structure)"
+ACCELERATION = r"(acc|accel|acceleration|accelerometer|beschleunigung|vib|vibration|schwingung|imu|shock|gravity)"
 AMBIENT = "ambient_temperature_C"
 
 
@@ -131,18 +137,31 @@ def is_temperature_or_payload(header: str) -> bool:
     return SI.get(unit or "") == "C" or bool(unit in SI and re.fullmatch(r"(?i)payload(_mass)?", _joined(header)))
 
 
+def is_acceleration_in_gravities(header: str) -> bool:
+    """Whether a header's unit g is that of an acceleration, not grams: acc_x [g], ax [g], vibration 2 (g).
+
+    >>> is_acceleration_in_gravities("acc_x [g]"), is_acceleration_in_gravities("payload [g]")
+    (True, False)
+    """
+    if header_name_and_unit(header)[1] != "g":
+        return False
+    split = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", _joined(header)).lower()
+    is_named = any(re.fullmatch(rf"{ACCELERATION}[xyz]?[0-9]*", word) for word in re.split(r"[_.-]", split))
+    return is_named or bool(re.fullmatch(r"[ag][_.-]?[xyz]", split))
+
+
 def _joined(header: str) -> str:
     """A header's words without their unit, joined."""
     bare = header_name_and_unit(header)[0] if header_name_and_unit(header)[1] else header
     return re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
 
 
-def _channel_names(headers: Sequence[str], mechanism: Mechanism) -> dict[str, list[str]]:
+def _channel_names(headers: Sequence[str], mechanism: Mechanism, is_own_table: bool) -> dict[str, list[str]]:
     """{header: names} of channels. One temperature of the whole machine stands for the room's where none is logged:
-    what effects of the whole machine follow.
+    what effects of the whole machine follow. In a table of sensors alone one is of it by its name, as `arm temp [C]`.
     """
-    names = {header: _names(header, header_name_and_unit(header)[1], mechanism) for header in headers}
-    whole = rf"{TEMPERATURE}?{MACHINE}{TEMPERATURE}?|temp[a-z]*"
+    names = {header: _names(header, header_name_and_unit(header)[1], mechanism, is_own_table) for header in headers}
+    whole = rf"{TEMPERATURE}?{MACHINE}{TEMPERATURE}?" + ("" if is_own_table else r"|temp(eratur(e|a)?)?")
     of_machine = [
         header
         for header in headers
@@ -154,11 +173,14 @@ def _channel_names(headers: Sequence[str], mechanism: Mechanism) -> dict[str, li
     return names
 
 
-def _names(header: str, unit: str | None, mechanism: Mechanism) -> list[str]:
+def _names(header: str, unit: str | None, mechanism: Mechanism, is_own_table: bool) -> list[str]:
     """Names of a channel out of a header: words joined, its unit as a recording has it behind it. A temperature of legs
-    without a number is that of each strut; one of a joint or a slide that of the link behind it.
+    without a number is that of each strut; one of a joint or a slide that of the link behind it. Others' `temp` is
+    spelt out in a table of commands or poses.
     """
     name = _joined(header)
+    if is_acceleration_in_gravities(header):
+        return [f"{name}_g"]
     if unit not in SI:
         return [name]
     word = name.lower().replace("_", "")
@@ -178,7 +200,7 @@ def _names(header: str, unit: str | None, mechanism: Mechanism) -> list[str]:
         names = [f"{place.replace(' ', '')}_temperature"]
     elif camera:
         names = [f"{camera[1]}_temperature"]
-    elif SI[unit] == "C" and short:
+    elif SI[unit] == "C" and short and not is_own_table:
         names = [f"{short[1]}_temperature"]
     elif re.fullmatch(r"(?i)payload(_mass)?", name):
         names = ["payload_mass"]

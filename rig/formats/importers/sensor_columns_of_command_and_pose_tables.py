@@ -114,7 +114,7 @@ def _channels(
     first = {t: row for row, t in reversed(list(enumerate(one.times)))}  # hands are measured at one time
     times = sorted(first)
     found, retained, lines = sensor_channels(
-        replace(cells, table=replace(one.table, columns=columns)), wanted, mechanism
+        replace(cells, table=replace(one.table, columns=columns)), wanted, mechanism, is_own_table=False
     )
     channels = tuple((name, values[[first[t] for t in times]]) for name, values in found)
     table = ForeignTable(

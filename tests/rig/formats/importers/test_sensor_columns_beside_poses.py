@@ -38,6 +38,16 @@ def table(path, **columns):
     return path
 
 
+def sensors_of_own_table(folder, *headers):
+    """ImportedRecording with channels of a table of sensors of their own, each with the values of WARM."""
+    (folder / "rig.toml").write_text(RIG)
+    rows = [[f"{20 * k + 3}", *[f"{WARM[k]}"] * len(headers)] for k in range(COUNT)]
+    (folder / "warm.csv").write_text("\n".join(",".join(row) for row in (["t [s]", *headers], *rows)) + "\n")
+    data = table(folder / "data.csv")
+    files = {"commands": data, "poses": data, "sensors": folder / "warm.csv"}
+    return assemble_recording(recipe_of_options(folder / "rig.toml", [], files, ()))
+
+
 def imported(folder, settings=(), **columns):
     (folder / "rig.toml").write_text(RIG)
     data = table(folder / "data.csv", **columns)
@@ -116,3 +126,25 @@ def test_a_temperature_is_a_whole_word_of_a_name_and_no_setpoint(tmp_path, name,
     log = Sensors(20.0 * np.arange(COUNT), {name: WARM})
     found = list(sensor_channel_unit_and_name_mistakes(log, imported(tmp_path).design))
     assert bool(found) == is_named and all(name in one.what for one in found)
+
+
+def test_a_table_of_sensors_keeps_its_names(tmp_path):
+    """But for a temperature that is the machine's or a joint's by its name, which is reported."""
+    done = sensors_of_own_table(tmp_path, "spindle temp [C]", "Temperature [C]", "temp setpoint [C]", "arm temp [C]")
+    names = [name for name, _ in done.logged.channels]
+    assert names == ["spindle_temp_C", "Temperature_C", "temp_setpoint_C", "ambient_temperature_C"]
+    assert any("arm temp [C] is ambient_temperature_C" in line for line in done.remarks)
+
+
+@pytest.mark.parametrize("header, name", [("acc_x [g]", "acc_x_g"), ("accelZ (g)", "accelZ_g"), ("ay_g", "ay_g")])
+def test_g_of_an_acceleration_is_no_gram(tmp_path, header, name):
+    done = sensors_of_own_table(tmp_path, header, "payload [g]", "load a [g]")
+    channels = dict(done.logged.channels)
+    np.testing.assert_allclose(channels[name], WARM)
+    np.testing.assert_allclose([channels["payload_mass_kg"], channels["load_a_kg"]], [WARM / 1000] * 2)
+    assert any(f"{header} is {name}, not converted" in line for line in done.remarks)
+
+
+def test_a_setpoint_beside_poses_is_not_the_temperature_of_the_machine(tmp_path):
+    done = imported(tmp_path, **{"temp setpoint [C]": [f"{v}" for v in WARM]})
+    assert [name for name, _ in done.logged.channels] == ["temp_setpoint_C"]
