@@ -198,6 +198,10 @@ def _refuse_unused_options(recipe: Recipe, skip_unreadable: bool) -> None:
     c = recipe.commands
     if c is not None and c.steps_per_mm is not None and c.unit not in (None, "steps"):
         unused.append(f"commands.steps_per_mm is of lengths in steps, and they are in {c.unit}")
+    for name in ("poses", "sensors", "frames"):
+        table = getattr(recipe, name)
+        if table is not None and table.rows is not None:
+            unused.append(f"{name}.rows={table.rows} states what rows are, and only commands.rows does")
     if unused:
         raise RigError("\n".join(f"{one}; leave it out" for one in unused))
 

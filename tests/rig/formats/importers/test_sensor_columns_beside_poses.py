@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.checks.unit_and_convention_mistakes import sensor_channel_unit_and_name_mistakes
-from rig.errors import FileError
+from rig.errors import FileError, RigError
 from rig.formats.importers.foreign_file_import_recipe import load_recipe, recipe_of_options, recipe_toml
 from rig.formats.importers.recording_import_from_foreign_files import assemble_recording, write_recording
 from rig.recording.recording_folder import Sensors, load_recording
@@ -148,3 +148,8 @@ def test_g_of_an_acceleration_is_no_gram(tmp_path, header, name):
 def test_a_setpoint_beside_poses_is_not_the_temperature_of_the_machine(tmp_path):
     done = imported(tmp_path, **{"temp setpoint [C]": [f"{v}" for v in WARM]})
     assert [name for name, _ in done.logged.channels] == ["temp_setpoint_C"]
+
+
+def test_rows_of_sensors_are_not_stated(tmp_path):
+    with pytest.raises(RigError, match="sensors.rows=held states what rows are, and only commands.rows does"):
+        imported(tmp_path, ["sensors.rows=held"], arm_temp_C=[f"{v}" for v in WARM])
