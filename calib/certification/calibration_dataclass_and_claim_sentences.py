@@ -170,12 +170,13 @@ def explaining_rigid_motion_text(verification: Verification) -> str:
             f"; the zeros of the struts have changed since it was calibrated: by up to {o.zeros * 1e3:.4f} mm, which "
             "explains it better than a motion of the base, the instrument or the target"
         )
-    zeros = (
-        ""
-        if o.zeros is None
-        else f"; zeros of struts that changed by up to {o.zeros * 1e3:.4f} mm explain it as well: these poses do not "
-        "separate the two"
-    )
+    zeros = "" if o.zeros is None else f"; zeros of struts that changed by up to {o.zeros * 1e3:.4f} mm "
+    if zeros:
+        zeros += (
+            "explain it as well: these poses do not separate the two"
+            if o.kept
+            else "keep it, and do not fit clearly better than that motion"
+        )
     return (
         f"; the {WHERE[o.of]} {'may have' if zeros else 'has'} moved since it was calibrated: "
         f"by {o.position * 1e3:.4f} mm, {o.rotation * 1e3:.4f} mrad; without that motion "

@@ -7,8 +7,9 @@ every pose and so average out, its shared errors are drawn once. The squares are
 a shared error costs its own few degrees of freedom and widens nothing else. Their distribution, the machine's error
 being the same in each visit of one configuration, is drawn.
 A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim
-tested without it. Zeros of struts that have changed move all poses nearly alike. They are estimated too: the machine
-itself is then wrong, which excuses no claim.
+tested without it. Zeros of struts that have changed move all poses nearly alike. They are estimated too: where the claim
+is kept with them and not with a rigid motion, the machine itself is wrong; where it is kept with either, poses do not
+separate the two.
 Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised
     least squares)
 """
@@ -32,8 +33,8 @@ DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times t
 NOTICED = 0.975  # chance with which an error of the size that is stated would have been noticed
 FEWEST = 8  # poses from which a rigid motion is estimated
 FAR, BEYOND, MOST_FAR = 10.0, 4.0, 0.1  # times half of all, and times what is allowed; share of the poses at most
-# of whitened squares, between two explanations with as many unknowns: the machine's errors are smooth, so that their
-# squares are not all independent; of 300 bases that were moved none made zeros better by more than 32
+# of whitened squares, between two explanations with as many unknowns. It decides of words alone: the machine's errors
+# are smooth, so that the difference grows with the poses, and of 100 bases moved before 200 poses several exceed it
 CLEARLY = 50.0
 STEPS = 6  # of Gauss and Newton: motions of a metre and a radian converge in five
 TINY = 1e-9  # m or rad, claims below which weigh as this
@@ -61,8 +62,9 @@ class Part:
 class Offset:
     """A rigid motion common to all poses. of : "base" or "platform", which of the two stands elsewhere; position : m;
     rotation : rad, its lengths
-    kept : whether the claim is kept without it; zeros : m, greatest change of a strut's zero that explains the poses,
-        None where no changes do; machine : whether these explain them clearly better than the motion"""
+    kept : whether the claim is kept without it; zeros : m, greatest change of a strut's zero with which it is kept,
+        None where no changes do that; machine : whether these explain the poses clearly better than the motion, without
+        which the claim is not kept"""
 
     of: str
     position: float
@@ -73,8 +75,10 @@ class Offset:
 
     @property
     def excuses(self) -> bool:
-        """Whether the machine may be as claimed: it is not, where its zeros have changed."""
-        return self.kept and not self.machine
+        """Whether the machine may be as claimed. Changed zeros with which the claim is kept too do not deny it: what
+        of the two has changed, poses do not tell.
+        """
+        return self.kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +299,7 @@ def _with_zeros(
     by_lengths: Floats,
     rng: np.random.Generator,
 ) -> Offset:
-    """The Offset with the change of the struts' zeros that explains the poses as well, where one does."""
+    """The Offset with the change of the struts' zeros with which the claim is kept, where one does that."""
     errors = pose_errors(predicted, samples)
     rows, weight = _weighed(errors, samples, claim)
     A = by_lengths[:, rows]
@@ -303,11 +307,12 @@ def _with_zeros(
     left = errors - by_lengths @ zeros
     if not _verified(left, samples, label, claim, rng).kept:
         return offset
+    changed = float(np.abs(zeros).max())
+    if offset.kept:
+        return replace(offset, zeros=changed)
     moved = pose_errors(predicted, _without(offset.of, predicted, samples, claim)[1])
     squares = [np.einsum("ni,nij,nj->", e[:, rows], weight, e[:, rows]) for e in (left, moved)]
-    if squares[1] < squares[0] - CLEARLY:
-        return offset
-    return replace(offset, zeros=float(np.abs(zeros).max()), machine=bool(squares[0] < squares[1] - CLEARLY))
+    return replace(offset, zeros=changed, machine=bool(squares[0] < squares[1] - CLEARLY))
 
 
 def _weighed(errors: Floats, samples: Samples, claim: Claim) -> tuple[Integers, Floats]:
