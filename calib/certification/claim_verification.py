@@ -7,9 +7,9 @@ every pose and so average out, its shared errors are drawn once. The squares are
 a shared error costs its own few degrees of freedom and widens nothing else. Their distribution, the machine's error
 being the same in each visit of one configuration, is drawn.
 A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim
-tested without it. Zeros of struts that have changed move all poses nearly alike. They are estimated too: where the claim
-is kept with them and not with a rigid motion, the machine itself is wrong; where it is kept with either, poses do not
-separate the two.
+tested without it. Zeros of struts that have changed move all poses nearly alike. They are estimated too: where the
+claim is kept with them and not with a rigid motion, the machine itself is wrong; where it is kept with either, poses do
+not separate the two.
 Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised
     least squares)
 """
