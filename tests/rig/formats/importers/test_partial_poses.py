@@ -227,7 +227,7 @@ def test_a_recipe_repeats_a_reading_by_travel(tmp_path):
         ("room [°C]", ["ambient_temperature_C"]),
         ("T_ambient [K]", ["ambient_temperature_C"]),
         ("L1 [°C]", ["L1_C"]),
-        ("spindle temp [C]", ["spindle_temperature_C"]),
+        ("spindle temp [C]", ["spindle_temp_C"]),
     ],
 )
 def test_temperatures_get_the_names_by_which_they_count(tmp_path, header, names):
