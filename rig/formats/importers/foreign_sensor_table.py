@@ -127,7 +127,7 @@ def sensor_channels(
 TEMPERATURE = r"(t|temp|temperatur|temperature|temperatura)"
 ROOM = r"(ambient|room|air|lab|laboratory|hall|raum|luft|umgebung|umgebungs|raumluft|halle|aire|ambiante|sala)"
 MACHINE = r"(arm|robot|roboter|robotarm|machine|maschine|maschinen|machina|maquina|gantry|portal|hexapod|structure)"
-ACCELERATION = r"(acc|accel|acceleration|accelerometer|beschleunigung|vib|vibration|schwingung|imu|shock)"
+ACCELERATION = r"(acc|accel|acceleration|accelerometer|beschleunigung|vib[a-z]*|schwingung|imu|shock)"
 AMBIENT = "ambient_temperature_C"
 
 
