@@ -237,7 +237,7 @@ def one_sided_axes(values: Floats, direction: Floats, axes: Sequence[str]) -> li
 
 
 def approach_text(values: Floats, direction: Floats, axes: Sequence[str]) -> str:
-    """From which side the axes came to poses, in words. values, direction : (n, axes), as `one_sided_axes` takes them."""
+    """From which side the axes came to poses, in words. values, direction : (n, axes), as of `one_sided_axes`."""
     moved = np.ptp(values, axis=0) > 0
     if not ((direction[:, moved] != 0).sum(axis=0) >= SEVERAL).any():
         return "not determined by the commands"
