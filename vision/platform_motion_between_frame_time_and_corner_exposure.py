@@ -140,15 +140,26 @@ def _pose_shifts(measured: Measurement, late: Floats, rate: Floats) -> Floats:
 
     Each corner weighs as it does in its frame's pose: a pose is turned, too, by rows that are late by zero on average.
     """
-    at = np.flatnonzero(np.isin(measured.observations.frames[measured.observations.frame], measured.frames))
-    o, F = measured.observations.take(at), len(measured.frames)
-    solved = replace(o, frames=measured.frames, frame=np.searchsorted(measured.frames, o.frames[o.frame]))
+    at, F = _rows_of_solved_frames(measured), len(measured.frames)
+    solved = _numbered_as_solved(measured.observations.take(at), measured)
     whole, moved = np.zeros((F, 6, 6)), np.zeros((F, 6, 6))
     for _, rows, J_platform, *_ in corner_jacobians_to_poses_and_lens_by_camera(solved, measured.adjustment.state):
         products = np.swapaxes(J_platform, 1, 2) @ np.linalg.solve(solved.covariance[rows], J_platform)
         np.add.at(whole, solved.frame[rows], products)
         np.add.at(moved, solved.frame[rows], late[at][rows, None, None] * products)
     return np.asarray(np.linalg.solve(whole, moved @ rate[..., None])[..., 0], float)
+
+
+def _rows_of_solved_frames(measured: Measurement) -> Integers:
+    """Indices of a Measurement's observations whose frames were solved."""
+    o = measured.observations
+    return np.flatnonzero(np.isin(o.frames[o.frame], measured.frames))
+
+
+def _numbered_as_solved(observations: Observations, measured: Measurement) -> Observations:
+    """Observations of solved frames, which are numbered as these."""
+    frame = np.searchsorted(measured.frames, observations.frames[observations.frame])
+    return replace(observations, frames=measured.frames, frame=frame)
 
 
 class ReadoutMotion:
@@ -257,16 +268,10 @@ class ReadoutMotion:
         self, measured: Measurement, other: Rates
     ) -> tuple[Integers, tuple[Observations, Observations]]:
         """(rows, (Observations of the solved frames, the same with other Rates)), their frames numbered as these."""
-        o = measured.observations
-        at = np.flatnonzero(np.isin(o.frames[o.frame], measured.frames))
-        whole = o.take(at)
+        at = _rows_of_solved_frames(measured)
+        whole = measured.observations.take(at)
         alike = observations_with_readout_motion(whole, measured.design, other)
-
-        def solved(one: Observations) -> Observations:
-            frame = np.searchsorted(measured.frames, one.frames[one.frame])
-            return replace(one, frames=measured.frames, frame=frame)
-
-        return at, (solved(whole), solved(alike))
+        return at, (_numbered_as_solved(whole, measured), _numbered_as_solved(alike, measured))
 
     def _with_shift_to_frame_times(self, measured: Measurement) -> Measurement:
         """The Measurement with by how much its corners would lie elsewhere had all cameras exposed at their frame's

@@ -126,7 +126,7 @@ def claim_check_result_text(verification: Verification) -> str:
     within = (
         verification.unexplained
         and not verification.refutes
-        and (verification.offset is None or not verification.offset.excuses)
+        and (verification.offset is None or not verification.offset.kept)
         and (verification.far is None or not verification.far.kept)
     )
     return "exceeded by no more than its stated unexplained part permits" if within else "NOT kept"

@@ -152,7 +152,7 @@ def evidence_with_verification(
     """
     if verification is None:
         return evidence
-    if verification.offset is not None and verification.offset.excuses:
+    if verification.offset is not None and verification.offset.kept:
         elsewhere = f"the {WHERE[verification.offset.of]} stands elsewhere"
         reseat = "Reseat the targets and instrument, or state their poses in rig.toml"
         moved = (

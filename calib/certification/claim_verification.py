@@ -62,9 +62,9 @@ class Part:
 class Offset:
     """A rigid motion common to all poses. of : "base" or "platform", which of the two stands elsewhere; position : m;
     rotation : rad, its lengths
-    kept : whether the claim is kept without it; zeros : m, greatest change of a strut's zero with which it is kept,
-        None where no changes do that; machine : whether these explain the poses clearly better than the motion, without
-        which the claim is not kept"""
+    kept : whether the claim is kept without it, so that the machine may be as claimed, with changed zeros or without
+    zeros : m, greatest change of a strut's zero with which it is kept, None where no changes do that
+    machine : whether these explain the poses clearly better than the motion, without which the claim is not kept"""
 
     of: str
     position: float
@@ -72,13 +72,6 @@ class Offset:
     kept: bool
     zeros: float | None = None
     machine: bool = False
-
-    @property
-    def excuses(self) -> bool:
-        """Whether the machine may be as claimed. Changed zeros with which the claim is kept too do not deny it: what
-        of the two has changed, poses do not tell.
-        """
-        return self.kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +125,7 @@ class Verification:
         What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times
         what it and noise allow.
         """
-        explained = (self.offset is not None and self.offset.excuses) or (self.far is not None and self.far.kept)
+        explained = (self.offset is not None and self.offset.kept) or (self.far is not None and self.far.kept)
         if self.kept or not self.parts or explained:
             return False
         return not self.unexplained or max(part.of_allowed for part in self.parts.values()) > REFUTES

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from calib.certification.calibration_dataclass_and_claim_sentences import Calibration
 from calib.models.arm import arm_error_model_and_instrument_observations as arms
-from calib.models.base_and_tool_placement import ALIKE, ENDS, LOOSE, Placement
+from calib.models.base_and_tool_placement import ALIKE, ENDS, LOOSE, Placement, p_value_of_displacement
 from calib.models.chain import chain_error_model_and_identification as chains
 from calib.samples.commanded_and_measured_pose_samples import Samples
 from calib.samples.freely_placed_instrument_poses_combined_with_tilts import (
@@ -172,8 +171,7 @@ def _chance(moved: Floats, covariance: Floats) -> float:
     some = np.diag(covariance) > 0
     if not some.any():
         return 1.0
-    square = moved[some] @ np.linalg.solve(covariance[np.ix_(some, some)], moved[some])
-    return float(scipy.special.chdtrc(int(some.sum()), square))
+    return p_value_of_displacement(moved[some], covariance[np.ix_(some, some)])
 
 
 def is_placement_significant(

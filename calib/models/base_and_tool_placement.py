@@ -155,8 +155,8 @@ class PlacementPart:
         if not known.shape[1]:
             return PlacementPart(np.nan, np.nan, 0)
         vector, covariance = known.T @ vector, known.T @ covariance @ known
-        chance = float(chdtrc(known.shape[1], vector @ np.linalg.solve(covariance, vector)))
-        return PlacementPart(float(np.linalg.norm(vector)), 2 * _along(vector, covariance), known.shape[1], chance)
+        size, U = float(np.linalg.norm(vector)), 2 * _along(vector, covariance)
+        return PlacementPart(size, U, known.shape[1], p_value_of_displacement(vector, covariance))
 
     def texts(self, unit: str) -> tuple[str, str] | None:
         """(size, U) in mm or mrad, None where nothing is determined."""
@@ -170,6 +170,11 @@ class PlacementPart:
         if not self.directions:
             return {"value": None, "U": None, "directions": 0}
         return {"value": self.size, "U": self.U, "directions": self.directions}
+
+
+def p_value_of_displacement(vector: Floats, covariance: Floats) -> float:
+    """Probability of a vector (k,) m, rad by chance, where there is none: chi-squared by its covariance (k, k)."""
+    return float(chdtrc(len(vector), vector @ np.linalg.solve(covariance, vector)))
 
 
 def _along(vector: Floats, covariance: Floats) -> float:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.shared import escaped_output_progress_error_table_and_refutations, input_file_options_and_loading
-from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress
+from rig.cli.shared.escaped_output_progress_error_table_and_refutations import Progress, printer_with_joint_names
 from rig.cli.shared.input_file_options_and_loading import (
     add_continue_despite_mistakes_option,
     add_recordings_argument,
@@ -194,40 +194,38 @@ def _print_report(report: Report, joint_names: Sequence[str]) -> None:
         parameter_rows_of_suggested_formula,
     )
 
-    def say(line: str) -> None:
-        print(text_with_joint_names(line, joint_names))
-
+    print_line = printer_with_joint_names(joint_names)
     for finding in report.findings:
-        say(finding_line(finding) + (f" [{finding.said}]" if finding.said else ""))
+        print_line(finding_line(finding) + (f" [{finding.said}]" if finding.said else ""))
         if finding.unusual:
-            say(f"  {finding.unusual}")
+            print_line(f"  {finding.unusual}")
         for other in finding.cannot_be_told_from:
-            say(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
+            print_line(f"  cannot be distinguished from {other.effect} at {other.place}; {other.experiment}")
     for size in () if report.named else report.detectable:
-        say(detectable_size_line(size))
+        print_line(detectable_size_line(size))
     for entry in report.suggestions:
         values = ", ".join(f"{name} {value}" for name, value, _ in parameter_rows_of_suggested_formula(entry))
-        say(
+        print_line(
             f"a formula for it at {entry.place}: {formula_suggestion_sentences(entry)} {values}; `rig "
             "effects --new NAME --from DIR` writes it"
         )
     if report.remarks:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
-        say(f"present, and within tolerances: {places}{more}; see remarks")
+        print_line(f"present, and within tolerances: {places}{more}; see remarks")
     for one in report.left_out[:MENTIONED]:
         frame, place, off, _ = excluded_outlier_texts(one)
-        say(f"left out: frame {frame}, {place}: {off}")
+        print_line(f"left out: frame {frame}, {place}: {off}")
     if len(report.left_out) > MENTIONED:
-        say(f"left out: {len(report.left_out) - MENTIONED} more outlying rows; see left_out")
+        print_line(f"left out: {len(report.left_out) - MENTIONED} more outlying rows; see left_out")
     if report.crowd is not None and report.findings:
-        say(outliers_not_excluded_sentence(report.crowd))
+        print_line(outliers_not_excluded_sentence(report.crowd))
     for what, fit in report.fits.items():
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
-        say(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
+        print_line(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
     if report.confounds is not None:
-        say(report.confounds.line())
+        print_line(report.confounds.line())
 
 
 def _experiment_options(arguments: Namespace) -> ExperimentOptions | None:

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TextIO, cast
 from rig.errors import RigError
 from rig.formats.output_files.atomic_file_writing_and_process_locks import escape_unprintable
 from rig.formats.output_files.staged_folder_and_manifest import file_sha256_or_empty
+from rig.report.axis_places_with_joint_names import text_with_joint_names
 
 if TYPE_CHECKING:
     from calib.certification.held_out_pose_error_statistics import HeldOut
@@ -241,6 +242,11 @@ def print_held_out_errors(held_out: HeldOut, title: str) -> None:
 
 def _cell(value: float) -> str:
     return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
+
+
+def printer_with_joint_names(joint_names: Sequence[str]) -> Callable[[str], None]:
+    """Function that prints a line with an arm's joint names, () for none, behind their numbers."""
+    return lambda line: print(text_with_joint_names(line, joint_names))
 
 
 def print_frames_without_pose(measurement: Measurement | None) -> None:

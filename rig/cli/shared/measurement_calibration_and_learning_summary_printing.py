@@ -19,11 +19,11 @@ from calib.workspace.workspace_page import workspace_lines
 from rig.cli.shared.escaped_output_progress_error_table_and_refutations import (
     print_frames_without_pose,
     print_held_out_errors,
+    printer_with_joint_names,
 )
 from rig.formats.numbers_and_units import count_text
 from rig.model import mechanisms
 from rig.model.pose import pose_to_vector, rms_uncertainty
-from rig.report.axis_places_with_joint_names import text_with_joint_names
 from vision.api import MeasurementResult, camera_time_offset_and_readout_lines
 from vision.bundle.adjustment_cross_validation_and_determined_unknowns import NotHeldOut
 from vision.bundle.marker_and_target_displacements import Places
@@ -311,20 +311,18 @@ def _print_physics(physics: Physics | None, joint_names: Sequence[str] = ()) -> 
     if physics is None:
         return
 
-    def say(line: str) -> None:
-        print(text_with_joint_names(line, joint_names))
-
+    print_line = printer_with_joint_names(joint_names)
     repeated, sizeless = physics.compensable_effects(), physics.sizeless_effects()
     known = [f"{e.label()} at {e.place}" for e in repeated]
-    say("effects compensated by commands: " + (", ".join(known) or "none"))
+    print_line("effects compensated by commands: " + (", ".join(known) or "none"))
     if sizeless:
         named = ", ".join(f"{e.label()} at {e.place}" for e in sizeless)
-        say(f"found, and of no size where the geometry is fitted with it, so that no command changes: {named}")
+        print_line(f"found, and of no size where the geometry is fitted with it, so that no command changes: {named}")
     left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in (*repeated, *sizeless)]
     if left:
-        say(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
+        print_line(f"removed from the measurements, and not the commands' to undo: {', '.join(left)}")
     for u in physics.unknown:
-        say(u.sentence())
+        print_line(u.sentence())
 
 
 def _print_pose_counts(result: CalibrationResult) -> None:
